@@ -20,7 +20,7 @@ from sabench.geometry.polynomial_cameras import fit_soloff
 from sabench.geometry.refraction import Wall
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 from tests.helpers.small_particles import rotate_cameras
 
 
@@ -65,9 +65,9 @@ def test_fitted_cameras_see_no_further_than_their_fit() -> None:
 
 def test_lines_of_sight_must_meet() -> None:
     camera = build_rig(load_scene("particle-tracking-air"), "air").cameras[0]
-    with pytest.raises(InputError, match="lines of sight meet"):
+    with refused():
         propose_box([camera])
-    with pytest.raises(InputError, match="expected x0,x1"):
+    with refused("x0", "x1"):
         grid_of_box(np.ones(3), np.zeros(3), 0.1)
     far = grid_of_box(np.full(3, 1e3), np.full(3, 1.1e3), 1.0)
     assert share_in_view(camera, far)[1] == 0.0

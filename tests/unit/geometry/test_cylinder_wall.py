@@ -2,7 +2,6 @@
 flat wall, and rays in a plane through the axis."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from sabench.geometry.refraction import (
     trace_to_points,
     transmittance,
 )
-from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.scenes.tank import build_wall
 from sabench.scenes.wall import CylinderSpec, LayerSpec
 from sabench.utils.arrays import F64, triple
@@ -170,21 +168,13 @@ def test_points_without_a_path_are_not_valid() -> None:
     """In the wall, outside, in the shadow behind the limb, or without coordinates."""
     wall = build_wall(SPECS["glass"])
     pinhole = np.array([0.0, 0.0, -500.0])
-    points = np.array(
-        [
-            [0.0, 0.0, 0.0],
-            [0.0, 0.0, -36.0],
-            [0.0, 0.0, -45.0],
-            [32.4, 0.0, 11.8],
-            [math.nan, 0.0, 0.0],
-            [0.0, math.inf, 0.0],
-        ]
-    )
-    paths = trace_to_points(wall, pinhole, points)
+    points = [[0.0, 0.0, 0.0], [0.0, 0.0, -36.0], [0.0, 0.0, -45.0], [32.4, 0.0, 11.8]]
+    points += [[math.nan, 0.0, 0.0], [0.0, math.inf, 0.0]]
+    paths = trace_to_points(wall, pinhole, np.array(points))
     assert paths.valid.tolist() == [True, False, False, False, False, False]
     assert np.isnan(paths.leaving[1:]).all()
     assert np.isnan(paths.arriving[1:]).all()
-    inside = trace_to_points(wall, np.array([0.0, 0.0, -37.0]), points[:1])
+    inside = trace_to_points(wall, np.array([0.0, 0.0, -37.0]), np.zeros((1, 3)))
     assert not inside.valid.any()
 
 
@@ -202,13 +192,8 @@ def test_rays_that_miss_the_fluid_are_not_valid() -> None:
 def plane_twin(wall: CylinderWall, pinhole: F64) -> Wall:
     """The plane wall that touches a cylinder next to a pinhole."""
     normal = wall.normal_at(pinhole)
-    return Wall(
-        triple(pinhole - float(wall.depth_of(pinhole)) * normal),
-        triple(normal),
-        wall.air_index,
-        wall.layers,
-        wall.fluid_index,
-    )
+    foot = triple(pinhole - float(wall.depth_of(pinhole)) * normal)
+    return Wall(foot, triple(normal), wall.air_index, wall.layers, wall.fluid_index)
 
 
 @pytest.mark.parametrize("kind", ["glass", "tilted"])
@@ -252,26 +237,3 @@ def test_rays_in_a_plane_through_the_axis_see_a_plane_wall(kind: str) -> None:
     )
     assert_allclose(lengths[0], lengths[1], rtol=1e-12)
     assert_allclose(passed[0], passed[1], rtol=1e-12)
-
-
-def test_moving_the_whole_world_moves_no_pixel() -> None:
-    spec = SPECS["tilted"]
-    wall, points = build_wall(spec), points_in(spec, 0.5, 100, 8)
-    turn = rotation_matrices(np.array([0.4, -1.1, 0.7]))
-    shift = np.array([30.0, -20.0, 70.0])
-
-    def moved(point: Any) -> tuple[float, float, float]:
-        return triple(turn @ np.asarray(point) + shift)
-
-    camera = camera_behind(wall)
-    rotation = np.asarray(camera.rotation) @ turn.T
-    other = replace(
-        camera,
-        center_mm=moved(camera.center_mm),
-        rotation=(triple(rotation[0]), triple(rotation[1]), triple(rotation[2])),
-        wall=replace(
-            wall, axis_point_mm=moved(wall.axis_point_mm), axis=triple(turn @ np.asarray(wall.axis))
-        ),
-    )
-    expected = camera.project(points)[0]
-    assert_allclose(other.project(points @ turn.T + shift)[0], expected, rtol=0, atol=1e-8)

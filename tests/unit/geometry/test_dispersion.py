@@ -3,6 +3,7 @@
 import pytest
 
 from sabench.scenes.materials import refractive_index, water_in_vacuum
+from tests.helpers.refusals import refused
 
 PUBLISHED = [
     # SCHOTT, data sheet of N-BK7
@@ -46,13 +47,13 @@ def test_water_is_that_of_the_table_of_r9_97(micrometre: float, index: float) ->
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("name", "nm", "celsius", "got"),
     [
-        (("bk 7", 532.0), "expected a known material, such as BK7 or N-BK7; got bk 7"),
-        (("acrylic", 355.0), "expected light of 437 to 1052 nm, .* index of acrylic .* 355 nm"),
-        (("water", 532.0, 120.0), "expected water of 0 to 100 degrees Celsius, got 120"),
+        ("bk 7", 532.0, 20.0, "bk 7"),
+        ("acrylic", 355.0, 20.0, "355"),
+        ("water", 532.0, 120.0, "120"),
     ],
 )
-def test_what_is_not_known_is_one_sentence(arguments: tuple[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        refractive_index(*arguments)
+def test_what_is_not_known_is_named(name: str, nm: float, celsius: float, got: str) -> None:
+    with refused(got, kind=ValueError):
+        refractive_index(name, nm, celsius)

@@ -50,12 +50,9 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
 def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
     center, first, pixels, step = 3.3, -2, 11, 1e-4 * sigma
     found, before, after = np.zeros((3, 5, pixels))
-    for at, each in zip(
-        (center, center - step, center + step), (found, before, after), strict=True
-    ):
-        fill_profile(
-            at, sigma, first, pixels, np.zeros(whole_lanes(pixels)), slopes := np.zeros(16)
-        )
+    for move, each in ((0.0, found), (-step, before), (step, after)):
+        at, room = center + move, np.zeros(whole_lanes(pixels))
+        fill_profile(at, sigma, first, pixels, room, slopes := np.zeros(16))
         each[0] = slopes[:pixels]
         fill_derivatives(at, sigma, first, each[1:])
     for n in range(1, 5):
@@ -66,15 +63,12 @@ def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
 
 
 def test_shares_in_numpy_are_those_of_kernels() -> None:
+    """Eight pixels fill eight lanes, though they have nine edges."""
+    assert [whole_lanes(pixels) for pixels in (1, 8, 9)] == [LANES, LANES, 2 * LANES]
     shares = np.zeros(whole_lanes(11))
     fill_shares(0.3, 0.8, -5, 11, shares)
     edges = np.arange(-5.0, 7.0)[None] - 0.5 - 0.3
     assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
-
-
-def test_profiles_fill_whole_lanes() -> None:
-    """Eight pixels fill eight lanes, though they have nine edges."""
-    assert [whole_lanes(pixels) for pixels in (1, 8, 9)] == [LANES, LANES, 2 * LANES]
 
 
 _SHAPE = (24, 30)
@@ -187,8 +181,5 @@ def test_particles_that_the_images_do_not_fix_have_no_bound() -> None:
     none = position_bounds(saturated, np.array([0, 1]))
     assert np.isnan(none).all()
     assert np.isnan(rms_over_bound(np.zeros((2, 3)), none))
-
-
-def test_no_particles_have_no_bounds() -> None:
-    cameras = _cameras(np.zeros((0, 3)), np.zeros(0))
-    assert position_bounds(cameras, np.zeros(0, dtype=np.int64)).shape == (0, 3, 3)
+    nobody = _cameras(np.zeros((0, 3)), np.zeros(0))
+    assert position_bounds(nobody, np.zeros(0, dtype=np.int64)).shape == (0, 3, 3)

@@ -58,7 +58,7 @@ def test_backlit_images_have_their_black_in_the_shadows() -> None:
     assert levels(image, backlit=True).black_dn == 12.0
 
 
-@pytest.mark.parametrize("value", [0.0, 5.0, 255.0, 65535.0])
+@pytest.mark.parametrize("value", [0.0, 255.0, 65535.0])
 def test_images_without_contrast(value: float) -> None:
     found = levels(np.full((30, 40), value))
     assert 0.0 <= found.black_dn < found.white_dn
@@ -80,10 +80,8 @@ def test_neighbours_are_those_of_all_pairs() -> None:
     assert all((np.diff(near[a:b]) > 0).all() for a, b in itertools.pairwise(starts))
 
 
-def test_no_images_have_no_neighbours() -> None:
-    starts, near = near_images(np.zeros((2, 0, 2)), np.ones(2))
-    assert starts.tolist() == [0]
-    assert not len(near)
-    starts, near = near_images(np.full((2, 3, 2), np.nan), np.ones(2))
-    assert starts.tolist() == [0, 0, 0, 0]
+@pytest.mark.parametrize("count", [0, 3])
+def test_no_images_have_no_neighbours(count: int) -> None:
+    starts, near = near_images(np.full((2, count, 2), np.nan), np.ones(2))
+    assert starts.tolist() == [0] * (count + 1)
     assert not len(near)

@@ -21,8 +21,8 @@ def measured(images: F64) -> ImageStatistics:
     return measure_images(images, np.ones(images.shape, dtype=bool))
 
 
-def glint(row: int, column: int, sigma: float) -> F64:
-    rows, columns = np.mgrid[:ROWS, :COLUMNS]
+def glint(row: int, column: int, sigma: float, shape: tuple[int, int] = (ROWS, COLUMNS)) -> F64:
+    rows, columns = np.indices(shape)
     return np.asarray(np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / (2.0 * sigma**2)))
 
 
@@ -32,17 +32,18 @@ def image(
     seed: int,
     spread: float = 0.0,
     across: F64 | None = None,
+    shape: tuple[int, int] = (ROWS, COLUMNS),
 ) -> F64:
     """An image of particles of mean light 200, and noise of standard deviation 2. Their columns are
     those `across`, if given."""
-    rng = np.random.default_rng(seed)
-    count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
-    center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
+    rng, (rows, columns) = np.random.default_rng(seed), shape
+    count = int(per_pixel * (rows + 20) * (columns + 20))
+    center = rng.uniform(-10.0, (columns + 10.0, rows + 10.0), (count, 2))
     if across is not None:
         center[:, 0] = across[:count]
     light = 200.0 * np.exp(spread * rng.standard_normal(count) - 0.5 * spread**2)
-    x, y = profile(center[:, 0], sigma[0], COLUMNS), profile(center[:, 1], sigma[1], ROWS)
-    return (y * light[:, None]).T @ x + 2.0 * rng.standard_normal((ROWS, COLUMNS))
+    x, y = profile(center[:, 0], sigma[0], columns), profile(center[:, 1], sigma[1], rows)
+    return (y * light[:, None]).T @ x + 2.0 * rng.standard_normal(shape)
 
 
 @pytest.mark.slow_but_first

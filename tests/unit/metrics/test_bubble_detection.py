@@ -20,6 +20,7 @@ from sabench.metrics.bubble_detection import (
 from sabench.metrics.plunging_jet import _drop, analyse
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, LN2, JetLaw
+from tests.helpers.refusals import refused
 
 
 def field(count: int = 60, seed: int = 1) -> Detections:
@@ -202,7 +203,7 @@ def test_intervals_hold_the_mean_of_the_distribution_as_often_as_they_say() -> N
             abs(m.mean - 20.0) <= (m.half_width or 0.0) for m in counts_per_frame(frames, edges)
         ]
     assert np.mean(held) == pytest.approx(0.95, abs=0.03)
-    with pytest.raises(ValueError, match="expected those of one frame"):
+    with refused(kind=ValueError):
         counts_per_frame([], edges)
 
 

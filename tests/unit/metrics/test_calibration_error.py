@@ -37,9 +37,8 @@ NOISE = {"noise_px": 0.1, "missing": 0.1}
 @pytest.mark.slow
 def test_the_true_calibration_has_no_error_but_that_of_detection() -> None:
     case, cameras, points, exact = case_of(calibration_scene(detection=NOISE))
-    scores = calibration_scores(
-        Calibration(cameras, points), case, cameras, points, exact, case.found
-    )
+    answer = Calibration(cameras, points)
+    scores = calibration_scores(answer, case, cameras, points, exact, case.found)
     assert scores["true_px"] == pytest.approx(0.0, abs=1e-9)
     # lengths of errors that are normal along both axes
     assert scores["measured_px"] == pytest.approx(0.1 * np.sqrt(np.pi / 2.0), rel=0.05)
@@ -85,13 +84,8 @@ def test_alignments_take_away_their_motion_and_leave_the_scatter_of_each_axis() 
     truth, seen = rng.normal(0.0, 10.0, (3, 20, 3)), np.ones((3, 20), dtype=np.bool_)
     still, shift = RigidMotion(np.eye(3), np.zeros(3)), np.array([0.1, -0.2, 0.3])
     scores: Any = point_scores(truth + shift, truth, seen, still)
-    # no prefix: lateral, in the plane of the wall
-    means: dict[str, Any] = {
-        "raw_": shift,
-        "": [0.0, 0.0, 0.3],
-        "shift_": [0.0, 0.0, 0.3],
-        "rigid_": [0.0] * 3,
-    }
+    along_z = [0.0, 0.0, 0.3]  # no prefix: lateral, in the plane of the wall
+    means: dict[str, Any] = {"raw_": shift, "": along_z, "shift_": along_z, "rigid_": [0.0] * 3}
     for how, expected in means.items():
         found = [scores[f"{how}{axis}_mean_mm"] for axis in "xyz"]
         assert_allclose(found, expected, atol=1e-9)

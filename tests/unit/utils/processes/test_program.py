@@ -22,6 +22,7 @@ from sabench.utils.processes.program import (
     run_limited,
 )
 from sabench.utils.processes.python import Reply, Servers, run_code, start_python
+from tests.helpers.refusals import refused
 
 
 def program(folder: Path, body: str, name: str = "program") -> list[str]:
@@ -77,21 +78,21 @@ ENDLESS = "while True: print('x' * 1000, file=sys.stderr)"
 
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize(
-    ("body", "limits", "words"),
+    ("body", "limits", "key"),
     [
-        ("time.sleep(60)", Limits(time_s=0.4), "within 0.4 s, but it was still running"),
-        (HOLD, Limits(memory_mb=100.0), "at most 100 MB of memory"),
-        ("sys.exit('no such camera')", Limits(), "exit code 1; its last words: no such camera"),
-        ("print('only this')\nsys.exit(3)", Limits(), "exit code 3; its last words: only this"),
-        ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "signal SIGSEGV"),
-        (ONE_FILE, Limits(output_mb=1.0), "no file larger than 1 MB"),
-        (FILES, Limits(output_mb=1.0), "at most 1 MB of files"),
-        (ENDLESS, Limits(time_s=0.5), "still running; its last words: xxx"),
-        (CONTROLS, Limits(), "its last words: y"),
+        ("time.sleep(60)", Limits(time_s=0.4), "0.4 s"),
+        (HOLD, Limits(memory_mb=100.0), "100 MB"),
+        ("sys.exit('no such camera')", Limits(), "no such camera"),
+        ("print('only this')\nsys.exit(3)", Limits(), "only this"),
+        ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "SIGSEGV"),
+        (ONE_FILE, Limits(output_mb=1.0), "1 MB"),
+        (FILES, Limits(output_mb=1.0), "1 MB"),
+        (ENDLESS, Limits(time_s=0.5), "xxx"),
+        (CONTROLS, Limits(), "yyy"),
     ],
 )
-def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, words: str) -> None:
-    with pytest.raises(InputError, match=words) as caught:
+def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, key: str) -> None:
+    with refused(key) as caught:
         run_limited(program(folder, body), folder, limits, "p")
     assert str(caught.value).startswith("program p: ")
     assert str(caught.value).isprintable()
@@ -139,7 +140,7 @@ def test_what_cannot_be_started(folder: Path) -> None:
     path = folder.parent / "no_program"
     path.write_text("neither a script nor a binary")
     path.chmod(0o755)
-    with pytest.raises(InputError, match=r"it cannot be started: Exec format error"):
+    with refused("p", "Exec format error"):
         run_limited([str(path)], folder, Limits(), "p")
 
 
@@ -147,7 +148,7 @@ def test_limits_must_be_positive() -> None:
     assert limits_of(None, None) is None
     assert limits_of(None, 5.0) == Limits(memory_mb=5.0)
     for bad in (0.0, -1.0, float("inf"), float("nan")):
-        with pytest.raises(InputError, match="time limit"):
+        with refused():
             limits_of(bad, None)
 
 
@@ -184,20 +185,16 @@ def test_a_killed_server_is_reported_and_replaced(servers: Servers) -> None:
     assert servers.running() == [1, 2]
     servers.request(2, 1)
     assert servers.receive() == Reply(2, 2)
+    os.kill(servers.pids[1], signal.SIGKILL)
+    time.sleep(0.1)
+    servers.request(1, 1)  # to a dead one, it raises nothing
+    assert servers.receive() == Reply(1, end="signal SIGKILL")
 
 
 def test_half_an_answer_is_none(servers: Servers) -> None:
     servers.running()
     servers.request(1, "half")
     assert servers.receive() == Reply(1, end="signal SIGKILL")
-
-
-def test_a_request_to_a_dead_server_raises_nothing(servers: Servers) -> None:
-    servers.running()
-    os.kill(servers.pids[0], signal.SIGKILL)
-    time.sleep(0.1)
-    servers.request(0, 1)
-    assert servers.receive() == Reply(0, end="signal SIGKILL")
 
 
 def test_children_ignore_interrupts_and_this_process_does_not() -> None:
@@ -214,9 +211,9 @@ def test_threads_and_modules_of_children() -> None:
 
 
 def test_code_that_fails_or_hangs_is_a_sentence() -> None:
-    with pytest.raises(InputError, match=r"^it: .* exit code 1; its last words: no$"):
+    with refused("it", "1", "no"):
         run_code("raise SystemExit('no')", "it", 60.0)
-    with pytest.raises(InputError, match=r"it: expected an end within 0.5 s"):
+    with refused("it", "0.5 s"):
         run_code("import time; time.sleep(60)", "it", 0.5)
 
 
@@ -224,7 +221,7 @@ def test_ends_have_names() -> None:
     names = [describe_end(code) for code in (0, 3, -6, -1000)]
     assert names == ["exit code 0", "exit code 3", "signal SIGABRT", "signal 1000"]
     check_end("it", 0, "")
-    with pytest.raises(InputError, match=r"^it: expected exit code 0, but .* exit code 2$"):
+    with refused("it", "2"):
         check_end("it", 2, "")
 
 
