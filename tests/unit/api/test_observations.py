@@ -1,5 +1,4 @@
-"""Checks of a solver's input before it starts. One sentence for every input that no algorithm can
-use."""
+"""Checks of a solver's input before it starts."""
 
 import shutil
 from collections.abc import Callable

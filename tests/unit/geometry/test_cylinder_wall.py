@@ -1,5 +1,4 @@
-"""Light paths through cylinders, against rays that another program follows. And their limits: a
-flat wall, and rays in a plane through the axis."""
+"""Light paths through cylinders, against rays that another program follows."""
 
 import math
 from typing import Any
@@ -123,8 +122,7 @@ def _near(wall: CylinderWall, leaving: F64, points: F64) -> F64:
 
 
 def forward(spec: CylinderSpec, count: int) -> tuple[F64, F64, F64]:
-    """Return rays all over the cylinder and a point on each: directions, points, area of a bundle.
-    The area is positive where neighbouring rays have not crossed yet."""
+    """Rays' directions, a point on each, and the area of a bundle, positive before it crosses."""
     rng = np.random.default_rng(3)
     wall = build_wall(spec)
     inwards, axis = wall.normal_at(PINHOLE), np.asarray(wall.axis)

@@ -1,5 +1,4 @@
-"""Sensors that are tilted against their lenses. Against a plane in space, OpenCV's tilted model,
-and laws of the thin lens."""
+"""Tilted sensors against a plane in space, OpenCV's tilted model, and laws of the thin lens."""
 
 from dataclasses import replace
 

@@ -1,5 +1,4 @@
-"""Discs in front of the wall. Their shadow in truth and in both renderers, and the solvers that may
-see them."""
+"""Discs in front of the wall: their shadow in the truth and in both renderers."""
 
 import math
 import tomllib
@@ -9,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.optimize import brentq
 
 import sabench
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
+from sabench.geometry.refraction import trace_to_points
 from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
@@ -31,8 +30,7 @@ def with_discs(scene: Scene, *discs: dict[str, Any]) -> Scene:
 
 
 def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -> dict[str, Any]:
-    """Return the table of a disc on the optical axis. It stands at `share` of the distance to the
-    wall of the quick scene (z = 0)."""
+    """A disc on the optical axis, at `share` of the distance to the quick scene's wall (z = 0)."""
     start, forward = np.asarray(camera.center_mm), np.asarray(camera.rotation[2])
     return {
         "center_mm": (start - forward * (share * start[2] / forward[2])).tolist(),
@@ -41,31 +39,15 @@ def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -
     }
 
 
-def crossing(camera: Camera, point: F64, z_mm: float) -> F64:
-    """Return the position at depth z < 0 of the light path from a point to a pinhole. The path
-    passes the quick scene's wall (z = 0, normal z). Snell's law and a root search."""
-    wall, pinhole = camera.wall, np.asarray(camera.center_mm)
-    assert wall is not None
-    depths = np.array(
-        [-pinhole[2], *(layer.thickness_mm for layer in wall.layers), point[2] - wall.thickness_mm]
-    )
-    offset = (point - pinhole)[:2]
-
-    def miss(sine: float) -> float:
-        return float(np.sum(depths * np.tan(np.arcsin(sine / wall.indices))) - np.hypot(*offset))
-
-    sine = brentq(miss, 0.0, 0.999, xtol=1e-15)
-    lateral = (z_mm - pinhole[2]) * math.tan(math.asin(sine / wall.indices[0]))
-    return np.append(pinhole[:2] + lateral * offset / np.hypot(*offset), z_mm)
-
-
 def test_truth_lies_in_the_shadow_that_snell_gives() -> None:
     disc = before_camera(QUICK, 0.6, 2.0)
     scene = with_discs(make_scene(), disc)
     positions = np.random.default_rng(1).uniform([-7.0, -5.0, 28.0], [7.0, 5.0, 32.0], (400, 3))
     images = image_particles(scene, QUICK, cloud(positions), None, build_rig(scene).occluders)
     open_images = image_particles(scene, QUICK, cloud(positions), None)
-    met = np.array([crossing(QUICK, point, disc["center_mm"][2]) for point in positions])
+    start, depth = np.asarray(QUICK.center_mm), disc["center_mm"][2]
+    leaving = trace_to_points(QUICK.wall, start, positions).leaving
+    met = start + leaving * ((depth - start[2]) / leaving[:, 2:])
     hidden = np.linalg.norm(met - disc["center_mm"], axis=1) <= 2.0
     assert 50 < hidden.sum() < 350
     assert_array_equal(images.photons == 0.0, hidden)
@@ -90,8 +72,7 @@ def outline(camera: Camera, disc: Disc) -> F64:
 
 
 def distance_inside(polygon: F64, pixels: F64) -> F64:
-    """Return the distance of pixels (n, 2) from a convex polygon's border, px. Positive inside the
-    polygon, negative outside."""
+    """Distance of pixels (n, 2) from a convex polygon's border, px, positive inside."""
     side = np.roll(polygon, -1, axis=0) - polygon
     normal = unit(np.stack([-side[:, 1], side[:, 0]], axis=1))
     towards = np.sum(normal * (polygon.mean(axis=0) - polygon), axis=1, keepdims=True)
@@ -121,8 +102,7 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
 
 @pytest.mark.slow
 def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
-    """The edge of a disc cuts images. Also those of particles whose own path is stopped, where they
-    reach beyond the edge."""
+    """Also images of particles whose own path is stopped."""
     wide = make_scene(cameras={"particle_sigma_px": 2.0})
     scene = with_discs(wide, before_camera(QUICK, 0.3, 0.5))
     discs = build_rig(scene).occluders

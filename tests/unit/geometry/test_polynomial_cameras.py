@@ -42,9 +42,7 @@ def fitted(camera: Camera) -> list[CameraModel]:
 
 @pytest.mark.parametrize(("kind", "most"), [(1, 0.35), (2, 0.01), (3, 0.1)])
 def test_what_is_lost_without_refraction(kind: int, most: float) -> None:
-    """Models without refraction lose little at D = 0.3. Mean errors of exact points of a corner
-    camera: a projective map 0.16 px, Soloff's polynomial below 0.01 px, planes 8 mm apart 0.06
-    px."""
+    """At D = 0.3: a projective map 0.16 px, Soloff's 0.01 px, planes 8 mm apart 0.06 px."""
     camera = build_rig(calibration_scene()).cameras[0]
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-20.0, 20.0, (1000, 2)), rng.uniform(15.0, 55.0, 1000)])
@@ -65,8 +63,7 @@ def test_a_camera_in_air_is_projective() -> None:
 
 @pytest.mark.parametrize("kind", [0, 1, 2, 3])
 def test_lines_of_sight_lead_back(kind: int) -> None:
-    """`carry` keeps the pixel, and so does `back_project`. The latter up to the bend of a
-    polynomial's lines between its ends."""
+    """Those of polynomials up to the bend of a line between its ends."""
     model = fitted(build_rig(calibration_scene()).cameras[3])[kind]
     points = lattice(10.0)
     pixels, valid = model.project(points)
@@ -112,8 +109,7 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
 
 @pytest.mark.slow
 def test_reconstruction_runs_on_polynomials() -> None:
-    """Refocusing by Soloff's polynomials agrees with that by the exact cameras. It does so as far
-    as the cameras agree."""
+    """Refocusing agrees as far as the cameras do."""
     shot = simulate(make_scene(particles={"count": 40}), seed=2)
     seen = shot.observation
     low = np.asarray(seen.grid.low_mm)

@@ -1,5 +1,4 @@
-"""The light path through a wall, against paths that are built by hand. Snell, Fermat, Fresnel and
-the symmetries of space."""
+"""The light path through a wall, against paths that are built by hand."""
 
 import math
 from typing import Any
@@ -43,8 +42,7 @@ def make_wall(
 
 
 def random_walls() -> list[Wall]:
-    """Make 20 walls of 0 to 4 layers, 0.01 to 50 mm thick. They are tilted by up to 35 degrees, and
-    some of the layers are rarer than both sides."""
+    """Tilted walls of 0 to 4 layers, 0.01 to 50 mm thick, some rarer than both sides."""
     rng = np.random.default_rng(20)
     walls = []
     for k in range(20):
@@ -116,8 +114,7 @@ def test_fermat_no_neighbouring_path_is_shorter(wall: Wall) -> None:
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stopping rule asks for no more digits than a double has. Newton's iteration doubles its
-    digits; with a stricter rule it would run to its limit."""
+    """The stopping rule asks for no more digits than a double has."""
     calls, lateral = [], sabench.geometry.refraction._lateral
 
     def counted(*arguments: Any) -> Any:

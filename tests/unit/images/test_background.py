@@ -26,7 +26,7 @@ def image(per_pixel: float, seed: int, spread: float = 0.3, across: F64 | None =
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("per_pixel", [0.0, 0.0003, 0.005, 0.02, 0.05])
+@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.05])
 def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
     ramp = np.linspace(20.0, 60.0, COLUMNS, dtype=np.float32)[None, :] * np.ones((ROWS, 1))
     shown = (image(per_pixel, 1) + ramp).astype(np.float32)
@@ -60,7 +60,7 @@ def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.02, 0.05])
+@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.05])
 def test_patches_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> None:
     shown, patches = image(per_pixel, 5), np.zeros((ROWS, COLUMNS))
     patches[40:80, 60:100] = patches[150:190, 201:241] = 12.0

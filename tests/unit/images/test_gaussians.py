@@ -144,28 +144,6 @@ def test_the_bound_is_the_inverse_of_the_whole_information(count: int) -> None:
     assert_allclose(found, _of_all(position, light), rtol=5e-3, atol=1e-8)
 
 
-def test_neighbours_raise_the_bound_and_particles_far_away_do_not() -> None:
-    position = np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [-1.0, -0.8, 0.0]])
-    near, _, far = position_bounds(_cameras(position, np.full(3, 900.0)), np.arange(3))
-    first, last = (
-        position_bounds(_cameras(position[n : n + 1], np.array([900.0])), np.array([0]))[0]
-        for n in (0, 2)
-    )
-    assert np.trace(near) > 1.2 * np.trace(first)
-    assert_allclose(far, last, rtol=1e-9)
-
-
-def test_a_least_squares_fit_reaches_the_bound() -> None:
-    rng = np.random.default_rng(8)
-    position, light = np.array([[0.02, -0.03, 0.01], [0.17, 0.1, 0.05]]), np.array([2e3, 2e3])
-    bound = position_bounds(_cameras(position, light), np.array([0, 1]))
-    noise = _NOISE * rng.standard_normal((len(_images(position, light)), 4000))
-    error = (np.linalg.pinv(_slopes(position, light)) @ noise).reshape(2, 4, -1)
-    for particle in range(2):
-        every = np.broadcast_to(bound[particle], (4000, 3, 3))
-        assert rms_over_bound(error[particle, :3].T, every) == pytest.approx(1.0, abs=0.02)
-
-
 def test_particles_that_the_images_do_not_fix_have_no_bound() -> None:
     position, light = np.array([[0.0, 0.0, 0.0], [0.12, 0.0, 0.0]]), np.array([900.0, 900.0])
     one, *others = _cameras(position, light)

@@ -31,8 +31,7 @@ def recording(noise: float, per_pixel: float, black: float = 64.0) -> F64:
     return np.clip(np.rint(grey), 0, 4095)
 
 
-@pytest.mark.parametrize("noise", [0.3, 1.5, 6.0])
-@pytest.mark.parametrize("per_pixel", [0.001, 0.02, 0.05])
+@pytest.mark.parametrize(("noise", "per_pixel"), [(0.3, 0.001), (1.5, 0.02), (6.0, 0.05)])
 def test_black(noise: float, per_pixel: float) -> None:
     assert levels(recording(noise, per_pixel)).black_dn == pytest.approx(64.0, abs=0.5 + noise)
 

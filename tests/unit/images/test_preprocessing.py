@@ -1,5 +1,4 @@
-"""Steps before reconstruction. Each against another program or its own definition, and as part of a
-solver's input."""
+"""Steps before reconstruction."""
 
 from pathlib import Path
 from typing import Any

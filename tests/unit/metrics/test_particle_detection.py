@@ -28,8 +28,7 @@ def gaussians(shape: tuple[int, int, int], places: F64, sigma: float) -> F32:
 
 
 def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
-    """Return the mean positions (x, y, z) of local maxima by a slow search. A maximum is a
-    connected set of equal voxels that reach the floor and border on lower voxels only."""
+    """Mean positions (x, y, z) of connected equal voxels that border on lower voxels only."""
     maxima = []
     for value in np.unique(volume[volume >= floor]):
         labels, count = ndimage.label(volume == value, structure=np.ones((3, 3, 3)))

@@ -1,5 +1,4 @@
-"""Quality factor and detection. Laws that hold for any input, cases that can be counted on paper,
-and slow counts of the same rules."""
+"""Quality factor and detection: cases counted on paper, and slow counts of the same rules."""
 
 import math
 from collections.abc import Callable
@@ -22,9 +21,6 @@ def random_volume(seed: int) -> F32:
     return np.random.default_rng(seed).exponential(size=(6, 7, 9)).astype(np.float32)
 
 
-# Quality
-
-
 def test_quality_is_the_cosine_between_the_volumes() -> None:
     a, b = random_volume(5), random_volume(6)
     flat_a, flat_b = a.astype(np.float64).ravel(), b.astype(np.float64).ravel()
@@ -35,9 +31,6 @@ def test_quality_is_the_cosine_between_the_volumes() -> None:
     assert quality(a.transpose(2, 0, 1), b.transpose(2, 0, 1)) == pytest.approx(expected, rel=1e-12)
     assert quality(a, b) == pytest.approx(expected, rel=1e-12)
     assert quality(0.0 * a, b) == quality(a, 0.0 * b) == 0.0
-
-
-# Particles in a volume
 
 
 def labelled_centroids(volume: F32) -> F64:
@@ -52,7 +45,7 @@ def labelled_centroids(volume: F32) -> F64:
     return np.stack(sums[1:], axis=1) / sums[0][:, None]
 
 
-@pytest.mark.parametrize("lit", [0.02, 0.08, 0.2, 0.6, 1.0])
+@pytest.mark.parametrize("lit", [0.02, 0.2, 1.0])
 @pytest.mark.parametrize("shape", [(9, 14, 23), (1, 20, 30), (12, 1, 30), (12, 20, 1), (1, 1, 40)])
 def test_detect_agrees_with_labels(shape: tuple[int, int, int], lit: float) -> None:
     rng = np.random.default_rng(5)
@@ -69,9 +62,6 @@ def test_detect_finds_particles_of_equal_brightness(value: float) -> None:
     assert_allclose(detect(volume), [[3.0, 2.0, 1.0]])
     volume[4, 5, 6] = value
     assert_allclose(detect(volume), [[3.0, 2.0, 1.0], [6.0, 5.0, 4.0]])
-
-
-# Counting
 
 
 def everything(points: F64) -> Bool:
@@ -144,8 +134,7 @@ def test_a_pair_counts_where_its_truth_lies(count: Masked) -> None:
 
 
 def slow_thesis(detections: F64, truths: F64) -> list[tuple[int, int]]:
-    """Return (detection, truth) pairs by a slow search. For each truth, the nearest of the
-    detections that lie within 1.5 voxels and have it as their nearest truth."""
+    """The nearest of those within 1.5 voxels of a truth that have it as their nearest truth."""
     pairs = []
     distance = [[math.dist(d, t) for t in truths] for d in detections]
     for j in range(len(truths)):
@@ -171,7 +160,7 @@ def slow_challenge(detections: F64, truths: F64) -> list[tuple[int, int]]:
 @pytest.mark.parametrize(
     ("count", "slow"), [(count_thesis, slow_thesis), (count_challenge, slow_challenge)]
 )
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_counts_agree_with_all_pairs(count: Masked, slow: Slow, seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = [9.0, 7.0, 5.0]  # so crowded that rules meet: a truth every two voxels

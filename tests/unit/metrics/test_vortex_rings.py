@@ -66,9 +66,7 @@ def test_a_gradient_has_no_circulation() -> None:
 @pytest.mark.parametrize("degrees", [0.0, 40.0, 180.0])
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)])
 def test_a_ring_is_found_at_every_angle(degrees: float, axis: tuple[float, float, float]) -> None:
-    """The circulation of equation 2.14 lies between those of two circles. About a circle of radius
-    R it is 2 pi e v R^2 exp(-R / l) / l; a square's lies between those of its inner and outer
-    circles."""
+    """A square's circulation lies between those of its inner and outer circles (equation 2.14)."""
     sizes = {"diameter_mm": 20.0, "core_mm": 4.0, "peak_mm_s": 50.0}
     ring = generator_of({"generator": "vortex_ring", "axis": axis, **sizes})
     half = half_plane((0.0, 0.0, 0.0), axis, (1.0, 0.0, 0.0), degrees)

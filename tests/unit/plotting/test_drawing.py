@@ -1,5 +1,4 @@
-"""Charts. Every curve and histogram is drawn at its position, and equal charts are equal
-pictures."""
+"""Charts: every curve and histogram is drawn at its position."""
 
 import cv2
 import numpy as np

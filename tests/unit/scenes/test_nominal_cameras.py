@@ -1,5 +1,4 @@
-"""Nominal cameras of solvers, which are off by a given length. Images and truth come from the true
-cameras."""
+"""Nominal cameras of solvers, which are off by a given length."""
 
 import json
 from pathlib import Path
@@ -19,7 +18,6 @@ from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64
 from sabench.utils.files import canonical_json, sha256
-from tests.conftest import pinholes
 from tests.helpers.particle_scenes import make_scene
 from tests.helpers.refusals import check_sentence, refused
 
@@ -65,18 +63,6 @@ def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
         ways = drawn - true[0].principal_point_px
         assert len(np.unique(ways, axis=0)) == 100
         assert np.linalg.norm(ways.mean(axis=0)) < 0.3  # 100 random unit vectors: 0.1 on average
-
-
-def test_a_solver_gets_the_wrong_cameras_and_nothing_else_changes() -> None:
-    shots = [simulate(shifted_scene(shift), seed=5) for shift in (0.0, 2.0)]
-    exact, off = (shot.observation for shot in shots)
-    true = build_rig(shifted_scene(2.0)).cameras
-    assert exact.cameras == true
-    assert_allclose(np.linalg.norm(moves(pinholes(off.cameras), true), axis=2), 2.0)
-    assert_array_equal(exact.images, off.images)
-    for mine, theirs in zip(shots[0].views, shots[1].views, strict=True):
-        assert_array_equal(mine.pixel, theirs.pixel)
-        assert_array_equal(mine.photons, theirs.photons)
 
 
 @pytest.fixture

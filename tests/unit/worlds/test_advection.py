@@ -74,8 +74,7 @@ def test_the_ring_is_equation_2_14() -> None:
 
 
 def test_fluid_crosses_the_ring_s_axis_or_stays_beside_it() -> None:
-    """Above the ring, fluid converges on the axis. With a fold there, its path could not be
-    followed."""
+    """With a fold above the ring, where fluid converges, its path could not be followed."""
     ring = flow("vortex_ring", peak_mm_s=100.0)
     there = advect(ring, points(3000), 0.0, 0.1, 1e-6)
     assert np.isfinite(there).all()

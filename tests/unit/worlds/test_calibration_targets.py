@@ -1,5 +1,4 @@
-"""Calibration targets. Their positions, their detected points with and without images, and the
-prior knowledge of them."""
+"""Calibration targets, their points with and without images, and prior knowledge of them."""
 
 import itertools
 from dataclasses import replace
@@ -62,8 +61,7 @@ def small_camera(wall: CylinderWall | None = None) -> Camera:
 def test_a_rendered_board_is_found_where_it_is(
     pattern: str, wall: CylinderWall | None, spread: float, bias: float
 ) -> None:
-    """Points agree to hundredths of a pixel between three programs. Mitsuba's rays, our projection
-    and OpenCV's detectors."""
+    """Mitsuba's rays, our projection and OpenCV's detectors agree to hundredths of a pixel."""
     camera, target = small_camera(wall), BOARDS[pattern]
     grey = photographed(render(camera, target, POSE, LAMPS, MIDDLE, 16), noise=3.0)
     errors = detect(grey, target) - camera.project(POSE(target.points_mm))[0]
@@ -86,8 +84,7 @@ def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
 
 @pytest.mark.slow
 def test_small_glowing_balls_are_found_where_they_are() -> None:
-    """Nothing draws the centroid of a small ball aside. The balls cover less than a thousandth of a
-    noisy image, and are uniformly bright."""
+    """Uniformly bright balls that cover less than a thousandth of a noisy image."""
     camera, target = small_camera(), Target("wand", 3, 1, 12.0, 1.0)
     glow = LAMPS.model_copy(update={"even": 1.0})
     picture = render(camera, target, POSE, glow, MIDDLE, 16)
@@ -125,8 +122,7 @@ def test_our_charuco_board_is_opencv_s() -> None:
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
 def test_a_board_s_points_keep_their_names_however_it_lies(quarters: int) -> None:
-    """The initial guess of a calibration determines the rotation of circles. They look the same
-    after a rotation."""
+    """The initial guess tells rotations of circles apart, which look the same."""
     target = Target("circles", 5, 4, 4.0, 2.0)
     angle = np.deg2rad(90.0 * quarters + 12.0)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -1,5 +1,4 @@
-"""Particles from frame to frame. Moved exactly, replaced where they leave, and seen when the laser
-flashes."""
+"""Particles from frame to frame: moved, replaced where they leave, and lit by pulses."""
 
 import itertools
 from pathlib import Path
@@ -183,9 +182,6 @@ def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
     place = low + step * np.array([6, 2, 1])
     assert_allclose(velocity[1, 2, 6], flow.velocity(place[None], scene.time_s(1))[0])
     assert_allclose(gradient[1, 2, 6], flow.gradient(place[None], scene.time_s(1))[0])
-
-
-# Sizes and materials
 
 
 def test_diameters_lie_on_the_lattice_of_sizes_where_mie_s_series_asks_for_it() -> None:

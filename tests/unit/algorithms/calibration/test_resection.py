@@ -22,7 +22,7 @@ def aligned_error(found: F64, places: F64) -> float:
     return float(np.abs(flat[0] - flat[1]).mean())
 
 
-@pytest.mark.parametrize("rotation", [np.eye(3), Y_UP, ALONG_X, ANY])
+@pytest.mark.parametrize("rotation", [Y_UP, ALONG_X, ANY])
 def test_boards_are_calibrated_in_any_world(rotation: F64) -> None:
     case, _, places = make_tank()
     case = rotated(case, rotation)

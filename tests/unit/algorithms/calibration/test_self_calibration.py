@@ -49,8 +49,7 @@ def corrected(case: Observation, **parameters: float) -> Calibration:
 
 
 def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) -> float:
-    """Return the cameras' mean error in pixels of true particles. It excludes the motion of all
-    cameras together, which images do not show."""
+    """Mean error, px, of true particles, without the motion of all cameras together."""
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in build_rig(scene).cameras])
     found = triangulate(cameras, exact)
@@ -100,8 +99,7 @@ def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
 
 
 def test_all_right_sets_are_among_those_found() -> None:
-    """Every particle whose images are near their nominal positions makes a set. The particles are
-    placed by hand."""
+    """Every particle whose images are near their nominal positions makes a set."""
     cameras = build_rig(particle_scene(0.0)).cameras[:4]
     maps = fit_volume_polynomials(cameras, np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0]))
     rng = np.random.default_rng(1)

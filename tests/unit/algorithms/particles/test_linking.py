@@ -1,5 +1,4 @@
-"""Trajectories of bubbles whose ids are known. Crossing paths, streams, missing bubbles and ghosts,
-and the limits of the method."""
+"""Trajectories of bubbles whose ids are known, and the limits of the method."""
 
 import itertools
 from typing import Any
@@ -37,8 +36,7 @@ def test_streams_are_followed_beyond_the_distance_of_neighbours(
 
 
 def test_where_it_ends() -> None:
-    """Linking has two limits. It fails for displacements beyond the reach, and for random motion
-    beyond a fraction of the distance between neighbours."""
+    """Displacements beyond the reach, and random motion over a part of neighbours' distance."""
     assert link_scores(made := make_sequence(1.4 * REACH), link_sequence(made))[0] < 0.1
     assert link_scores(made := make_sequence(0.2, "random"), link_sequence(made))[0] > 0.97
     assert link_scores(made := make_sequence(1.0, "random"), link_sequence(made))[0] < 0.6

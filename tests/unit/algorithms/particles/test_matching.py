@@ -1,5 +1,4 @@
-"""Positions from particle images, and maps of a box, against cameras' own projection. Triangulation
-within a time budget, and of more peaks than can be told apart."""
+"""Positions from particle images, and maps of a box, against cameras' own projection."""
 
 import itertools
 from dataclasses import replace
@@ -52,8 +51,7 @@ def open_sensors(cameras: int) -> Bool:
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("cameras", [3, 4])
-@pytest.mark.parametrize("count", [1, 30])
+@pytest.mark.parametrize(("cameras", "count"), [(3, 1), (4, 30)])
 def test_all_particles_are_found_where_they_are(maps: Maps, cameras: int, count: int) -> None:
     points = unit_points(count)
     peaks = peaks_of(images_of(points, maps, cameras))

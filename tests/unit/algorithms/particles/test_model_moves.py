@@ -1,5 +1,4 @@
-"""Ghosts are removed and pairs split, single particles are neither. Widths and shifts of cameras
-are learned."""
+"""Ghosts are removed and pairs split, single particles are neither."""
 
 from typing import Any
 
@@ -46,6 +45,15 @@ def subtracted(
 
 def even_light(count: int, share: float = 1.0) -> F64:
     return np.full((count, 4), share * TYPICAL)
+
+
+def one_of_two(maps: Maps, images: F64, share: float) -> Any:
+    """A model without one particle at the origin, room for another, and that one alone."""
+    model, room, lights = model_of(maps, images), room_of(maps), even_light(2, share)
+    rows, alive = np.zeros((2, 3)), np.array([True, False])
+    single = image_model.ModelParticles(rows[:1], lights[:1], alive[:1])
+    image_model.paint_all(model, room, single, -1.0)
+    return model, room, image_model.ModelParticles(rows, lights, alive), single
 
 
 def split(model: Any, room: Any, particles: image_model.ModelParticles, steps: F64) -> None:
@@ -286,11 +294,7 @@ def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[
     half = 0.8 * size * np.array(direction) * [1.0, 1.0, 4.0]
     pair = np.array([half, -half])
     images = noisy(maps, pair, even_light(2))
-    model, room = model_of(maps, images), room_of(maps)
-    rows, lights = np.zeros((2, 3)), np.full((2, 4), 2.0 * TYPICAL)
-    particles = image_model.ModelParticles(rows, lights, np.array([True, False]))
-    single = image_model.ModelParticles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
-    image_model.paint_all(model, room, single, -1.0)
+    model, room, particles, single = one_of_two(maps, images, 2.0)
     refine_all(model, room, single, 10)
     steps = 0.7 * size * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
     model_moves.measure_split_gains(model, room, single, steps, gain := np.zeros(1))
@@ -304,10 +308,8 @@ def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[
 
 
 def test_a_single_particle_is_not_split(maps: Maps) -> None:
-    point, light = np.zeros((1, 3)), even_light(1)
-    model, room = model_of(maps, noisy(maps, point, light)), room_of(maps)
-    particles = image_model.ModelParticles(np.zeros((2, 3)), even_light(2), np.array([True, False]))
-    image_model.paint_all(model, room, particles_of(point, light), -1.0)
+    images = noisy(maps, np.zeros((1, 3)), even_light(1))
+    model, room, particles, _ = one_of_two(maps, images, 1.0)
     left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
     steps = 0.7 * size * np.eye(3)
     split(model, room, particles, steps)
@@ -321,11 +323,7 @@ def test_a_wide_particle_is_not_split(maps: Maps) -> None:
     size = pixel_mm(maps) / maps.half_mm
     pair = 0.15 * size * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
     images = noisy(maps, pair, np.full((2, 4), 50.0 * TYPICAL))
-    model, room = model_of(maps, images), room_of(maps)
-    light = np.full((2, 4), 100.0 * TYPICAL)
-    particles = image_model.ModelParticles(np.zeros((2, 3)), light, np.array([True, False]))
-    single = image_model.ModelParticles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
-    image_model.paint_all(model, room, single, -1.0)
+    model, room, particles, single = one_of_two(maps, images, 100.0)
     steps = 0.15 * size * np.ones((1, 3))
     model_moves.measure_split_gains(model, room, single, steps, gain := np.zeros(1))
     assert gain[0] > 100.0

@@ -67,13 +67,6 @@ def test_a_tilted_plane_is_interpolated_from_the_stack_of_planes() -> None:
     assert rms[1] < 1e-3
 
 
-def test_a_cylinder_of_infinite_radius_is_the_plane() -> None:
-    images, size = smooth_images(), (5.6, 4.0)
-    flat = refocused(Plane(**PLACE, size_mm=size), images)
-    bent = refocused(Cylinder(**PLACE, size_mm=size, radius_mm=1e13), images)
-    assert_allclose(bent, flat, atol=1e-6)
-
-
 @pytest.mark.parametrize("radius", [3.0, -3.0])
 def test_a_texture_on_a_cylinder_comes_out_as_it_is(radius: float) -> None:
     """Images come from rays met with the cylinder; the best plane blurs the same texture."""

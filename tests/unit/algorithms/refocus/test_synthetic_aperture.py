@@ -1,5 +1,4 @@
-"""Refocusing against a second implementation, and between both back ends. The second implementation
-uses exact projection, and scipy's splines and interpolation."""
+"""Refocusing against a second implementation, and between both back ends."""
 
 import functools
 from collections.abc import Callable
@@ -77,8 +76,7 @@ def smooth_images(seed: int, count: int = 3) -> F32:
 
 
 def reference(images: F32, rig: list[Camera], grid: Grid) -> F64:
-    """Return samples (camera, z, y, x) by exact projections. A spline onto the slab's plane, then
-    bilinear interpolation. NaN near an image's border."""
+    """Samples (camera, z, y, x) by exact projections; NaN near an image's border."""
     zz, yy, xx = np.meshgrid(*grid.axes_mm[::-1], indexing="ij")
     points = np.stack([xx, yy, zz], axis=-1).reshape(-1, 3)
     samples = np.full((len(rig), len(points)), np.nan)
@@ -107,7 +105,7 @@ def looked_up(image: F32, camera: Camera, points: F64, grid: Grid, z_mm: float) 
     return np.asarray(value)
 
 
-@pytest.mark.parametrize("wall", [None, FLAT, TILTED])
+@pytest.mark.parametrize("wall", [None, TILTED])
 def test_refocusing_is_interpolation_at_exact_projections(wall: Wall | None) -> None:
     rig, images = array(wall), smooth_images(5)
     samples = reference(images, rig, GRID)
@@ -127,7 +125,7 @@ def test_refocusing_is_interpolation_at_exact_projections(wall: Wall | None) -> 
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("wall", [None, FLAT, TILTED])
+@pytest.mark.parametrize("wall", [None, TILTED])
 def test_maps_stay_within_their_tolerance_by_slabs(wall: Wall | None) -> None:
     rig, deep = array(wall), replace(GRID, voxel_mm=(0.06, 0.06, 1.5), shape=(40, 151, 600))
     parts = slabs(rig, deep)
@@ -200,7 +198,7 @@ def test_both_back_ends_agree(wall: Wall | None, monkeypatch: pytest.MonkeyPatch
         assert np.median(np.abs(mine - other)) < 5e-4
 
 
-@pytest.mark.parametrize("level", [0.0, 0.01, 3.0, 10.0])
+@pytest.mark.parametrize("level", [0.0, 3.0, 10.0])
 def test_many_factors_do_not_leave_the_range_of_floats(level: float) -> None:
     """Thirty cameras whose product is 1e-60, and 1e30 with bright ones."""
     camera = make_camera(0.0, 10.0, None, Distortion())
@@ -256,8 +254,7 @@ def planar_array(wall: Wall | None) -> list[Camera]:
 
 @pytest.mark.slow
 def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
-    """The published method equals exact refocusing where shifts are whole numbers. On such planes,
-    both agree up to the method's bilinear first step."""
+    """Where shifts are whole numbers, up to the published method's bilinear first step."""
     rig, step = planar_array(None), 0.06 * 342.0 / (60.0 + 0.06)  # one voxel between neighbours
     grid = Grid((-1.0, 4.0, 42.0 - step), (0.06, 0.06, step), (3, 41, 57))
     places = np.array([[-0.4, 4.7, 42.0 - step], [0.2, 5.0, 42.0], [1.1, 5.4, 42.0 + step]])

@@ -1,5 +1,4 @@
-"""Thresholds. Q of many k in one pass against one extraction each, and the k from the images
-against the best one."""
+"""Thresholds: many in one pass against one each, and that from images against the best."""
 
 import math
 from dataclasses import replace
@@ -75,9 +74,6 @@ def random_volumes() -> tuple[F32, F32]:
     return volume, (volume**2 * rng.random(volume.shape)).astype(np.float32)
 
 
-# Q of many thresholds
-
-
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize("keep", KEEPS)
 @pytest.mark.parametrize("scored", [(slice(None),) * 3, (slice(1, -1), slice(4, -3), slice(2, -5))])
@@ -105,9 +101,6 @@ def test_the_best_k_has_the_highest_q(shot: Shot, keep: Keep) -> None:
     around = quality_of_k(volume, truth, np.array([k - 0.3, k, k + 0.3]), keep)
     assert around[1] == pytest.approx(q)
     assert around.argmax() == 1
-
-
-# k without truth
 
 
 def test_widths_of_narrow_and_wide_particles() -> None:

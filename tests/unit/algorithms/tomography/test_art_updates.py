@@ -1,5 +1,4 @@
-"""Corrections of tomography, each against its formula with a dense W. Also their common properties:
-saturation, residuals and the stop rule."""
+"""Corrections of tomography, each against its formula with a dense W."""
 
 from collections.abc import Callable
 
@@ -43,8 +42,7 @@ NOWHERE = np.zeros(WHITE.shape, dtype=np.bool_)
 
 
 def matrices(lines: ProjectionOperator) -> F64:
-    """Return W (camera, pixel, voxel), column by column. By one thread: for one voxel, waiting for
-    the other threads takes longer."""
+    """W (camera, pixel, voxel), column by column, by one thread, which is faster here."""
     unit, most = np.eye(len(lines.support), dtype=np.float32), numba.get_num_threads()
     numba.set_num_threads(1)
     columns = [lines.forward(row).reshape(len(lines.cameras), -1) for row in unit]
@@ -199,8 +197,7 @@ def test_black_pixels_leave_no_light_but_finite_values(name: str) -> None:
 
 @pytest.mark.slow
 def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
-    """The last camera's image does not change voxels outside its view. It changes the others less,
-    the more cameras see them."""
+    """The last camera changes voxels less, the more cameras see them."""
     state = make_state(every=1)
     lines = state.lines
     counts, last = np.rint(lines.adjoint(WHITE)), np.rint(lines.adjoint(WHITE[2:], [2])) > 0.0

@@ -99,8 +99,7 @@ def test_without_its_wall_a_camera_shows_another_scale(camera: Camera) -> None:
 
 @pytest.mark.slow
 def test_motion_across_the_sheet_costs_pairs(camera: Camera) -> None:
-    """The correlation falls as the share of particles that stay in the light. Source: R. D. Keane
-    and R. J. Adrian, Appl. Sci. Res. 49 (1992) 191-215: F_O = 1 - |dz| / t."""
+    """F_O = 1 - |dz| / t: R. D. Keane and R. J. Adrian, Appl. Sci. Res. 49 (1992) 191-215."""
     heights, valid = [], []
     for share in (0.0, 0.5, 1.5):
         case = image_pair((camera,), uniform(*(share * 0.5 * ALONG_Z)))

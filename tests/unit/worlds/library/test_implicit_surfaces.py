@@ -39,8 +39,7 @@ def body(name: str, seed: int = 1, **parameters: object) -> Solid:
 
 
 def volume(solid: Solid) -> float:
-    """Return the volume that a closed surface encloses, by Gauss's theorem. Negative if the surface
-    faces inwards."""
+    """What a closed surface encloses, by Gauss's theorem; negative if it faces inwards."""
     corners = solid.vertices_mm[solid.faces]
     return float(np.linalg.det(corners).sum() / 6.0)
 
@@ -115,8 +114,7 @@ def capsule(points: F64) -> F64:
 def test_surfaces_are_exact_to_the_second_order(
     function: Callable[[F64], F64], radius: float, inside: float, outside: float
 ) -> None:
-    """Triangles are off by at most 3/8 step^2 / radius, the height of an arc over a cell's
-    diagonal."""
+    """Triangles are off by at most 3/8 step^2 / radius: an arc's height over a cell's diagonal."""
     made = [surface_of(function, [-4.0, -3.0, -3.0], [4.0, 3.0, 3.0], step) for step in (0.3, 0.15)]
     for measure, exact in ((volume, np.pi * inside), (area, np.pi * outside)):
         coarse, fine = (abs(measure(one) / exact - 1.0) for one in made)

@@ -1,5 +1,4 @@
-"""A liquid jet in a cross-flow. The measured laws, motion along them, and drops that touch neither
-each other nor the column."""
+"""A liquid jet in a cross-flow: the measured laws, motion along them, and overlaps."""
 
 from typing import Any
 
@@ -63,8 +62,7 @@ def test_drops_are_between_the_edges_and_off_the_column(column: Solid) -> None:
 
 
 def test_drops_move_with_their_velocities_and_the_gas_takes_them_along() -> None:
-    """Motion obeys x'' = (gas - x') / response. Positions at three times against the velocity at
-    the middle one, both by the same differences."""
+    """Motion obeys x'' = (gas - x') / response, by differences of positions at three times."""
     step = 2e-5
     early, now, late = (drops(1e-3 + k * step) for k in (-1, 0, 1))
     every = [one for one in now.id if one in early.id and one in late.id]
