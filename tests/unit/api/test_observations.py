@@ -109,9 +109,7 @@ def test_the_largest_named_grid_fits(case: Observation, monkeypatch: pytest.Monk
 
 
 def test_the_system_says_what_memory_is_there() -> None:
-    there = machine_limits.available_mb()
-    assert there is not None
-    assert 10.0 < there < 1e8
+    assert 10.0 < (machine_limits.available_mb() or 0.0) < 1e8
 
 
 def test_a_refused_frame_leaves_nothing(tmp_path: Path) -> None:

@@ -262,6 +262,5 @@ def test_the_first_slope_is_of_fifth_order(relative: F64, depths_mm: list[F64 | 
 def test_halley_converges_without_a_bracket(relative: F64, depths_mm: list[F64 | float]) -> None:
     """Steep and flat paths alike need few steps, unless the rarest layer is thin."""
     slope = np.geomspace(1e-3, 1e2, 60)
-    found = _halley(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])
-    assert found is not None
+    found: Any = _halley(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])
     assert_allclose(found[0], slope, rtol=1e-9)

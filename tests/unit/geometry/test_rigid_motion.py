@@ -53,9 +53,10 @@ def axis_rotations() -> list[F64]:
 
 
 def shifted(camera: Camera, shift: F64) -> Camera:
-    key = "point_mm" if isinstance(camera.wall, Wall) else "axis_point_mm"
-    wall: Any = replace(camera.wall, **{key: triple(shift + getattr(camera.wall, key))})  # type: ignore[type-var]
-    return replace(camera, center_mm=triple(shift + camera.center_mm), wall=wall)
+    wall: Any = camera.wall
+    key = "point_mm" if isinstance(wall, Wall) else "axis_point_mm"
+    moved = replace(wall, **{key: triple(shift + getattr(wall, key))})
+    return replace(camera, center_mm=triple(shift + camera.center_mm), wall=moved)
 
 
 @pytest.mark.parametrize("scene", ["quick", "cylinder-tank", "two-faces"])

@@ -80,8 +80,7 @@ def test_a_background_goes_and_particles_stay() -> None:
     light = background + particle
     grey = np.rint(np.stack([light, 0.5 * light])).astype(np.uint16)
     scene = parse_scene(moving_scene(preprocessing=THESIS).to_dict(), "scene")
-    assert scene.preprocessing is not None
-    clean = preprocess(grey, 0.0, 4095.0, scene.preprocessing)
+    clean = preprocess(grey, 0.0, 4095.0, scene.preprocessing or ())
     for image in clean:
         assert_allclose(np.argwhere(image == image.max()), 40.0, atol=2.0)
     assert np.median(clean) < 0.02 * clean.max()

@@ -22,8 +22,7 @@ def quick(wall: dict[str, Any], layer: dict[str, Any], **light: Any) -> Scene:
 @pytest.mark.parametrize(("nm", "glass"), [(532.0, 1.51947), (632.8, 1.51509)])
 def test_the_wall_has_the_indices_at_the_laser_s_wavelength(nm: float, glass: float) -> None:
     scene = quick({"fluid": "water", "temperature_c": 25.0}, {"material": "BK7"}, wavelength_nm=nm)
-    wall = build_rig(scene).cameras[0].wall
-    assert wall is not None
+    wall: Any = build_rig(scene).cameras[0].wall
     assert wall.fluid_index == refractive_index("water", nm, 25.0)
     assert wall.layers[0].index == pytest.approx(glass, abs=1e-5)
 
@@ -38,8 +37,7 @@ def test_a_scene_with_materials_survives_being_written() -> None:
     assert again.hash == scene.hash
     assert scene.with_frames(3).wall == scene.wall
     red = {**written, "illumination": {**written["illumination"], "wavelength_nm": 650.0}}
-    wall = parse_scene(red, "red").plane
-    assert wall is not None
+    wall: Any = parse_scene(red, "red").plane
     assert wall.fluid_index == refractive_index("water", 650.0)
 
 
@@ -62,9 +60,7 @@ def test_round_tanks_and_tanks_of_several_faces_have_materials() -> None:
 def test_the_window_of_the_laser_has_materials_too() -> None:
     entry: dict[str, Any] = {"point_mm": [-60.0, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}
     entry["layers"] = [{"material": "fused silica", "thickness_mm": 3.0}]
-    light = quick({"fluid": "water"}, {"material": "BK7"}, entry=entry).illumination
-    assert light is not None
-    assert light.entry is not None
+    light: Any = quick({"fluid": "water"}, {"material": "BK7"}, entry=entry).illumination
     assert light.entry.layers[0].index == refractive_index("fused silica", 532.0)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.refraction import Wall
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene, scene_schema
 from tests.helpers.refusals import refused
@@ -135,10 +134,8 @@ def test_the_schema_knows_all_walls() -> None:
 
 
 def test_the_cylinder_and_the_free_surface_of_a_scene() -> None:
-    wall = build_rig(load_scene("cylinder-tank")).cameras[0].wall
-    assert isinstance(wall, CylinderWall)
+    wall: Any = build_rig(load_scene("cylinder-tank")).cameras[0].wall
     assert wall.radii_mm.tolist() == [40.0, 35.0]
     assert wall.indices.tolist() == [1.0, 1.52, 1.333]
-    surface = build_rig(load_scene("free-surface")).cameras[0].wall
-    assert isinstance(surface, Wall)
+    surface: Any = build_rig(load_scene("free-surface")).cameras[0].wall
     assert surface.indices.tolist() == [1.0, 1.333]

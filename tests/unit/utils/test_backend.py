@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sabench.utils import backend
-from tests.helpers.refusals import refused
+from tests.helpers.refusals import check_sentence, refused
 
 CHOICE = "from sabench.utils import backend; print(backend.choose().library)"
 
@@ -34,14 +34,14 @@ def test_a_library_that_is_no_llvm_is_refused() -> None:
     other = ctypes.util.find_library("z") or ctypes.util.find_library("m")
     assert other
     errors = choose(SABENCH_BACKEND="llvm", DRJIT_LIBLLVM_PATH=other)
-    for words in ("refused", other, backend.REMEDY):
-        assert words in errors
+    for key in (other, backend.REMEDY):
+        assert key in errors
 
 
 def test_a_library_that_is_not_there_is_not_replaced_by_another(tmp_path: Path) -> None:
     """The user wants the library that he names: a silent fallback would hide the mistake."""
     errors = choose(SABENCH_BACKEND="llvm", DRJIT_LIBLLVM_PATH=str(tmp_path / "none.so"))
-    assert "cannot be loaded" in errors
+    assert "none.so" in errors
 
 
 def test_candidates_put_the_wheel_before_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,4 +84,4 @@ def test_an_old_system_library_is_refused_by_its_version(monkeypatch: pytest.Mon
 
 
 def test_unknown_choice_is_refused() -> None:
-    assert "expected auto, cuda or llvm" in choose(SABENCH_BACKEND="metal")
+    check_sentence(choose(SABENCH_BACKEND="metal").splitlines()[-1], "SABENCH_BACKEND", "metal")

@@ -1,6 +1,7 @@
 """Facts about classes read from source."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,8 +32,7 @@ def write(folder: Path, text: str) -> Path:
 
 def test_an_attribute_is_inherited_within_a_file_and_from_the_package(tmp_path: Path) -> None:
     source = parse(write(tmp_path, SOURCE.format(base="Flow")))
-    found = find_class(source, "named")
-    assert found is not None
+    found: Any = find_class(source, "named")
     assert found.summary == "Another line."
     assert constant(source, found, "makes") == "flow"
     assert constant(source, found, "colour") is None

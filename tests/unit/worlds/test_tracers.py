@@ -15,7 +15,7 @@ from sabench.simulation.in_memory import make_particles, simulate
 from sabench.simulation.pipeline import generate
 from sabench.worlds.advection import advect
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
-from sabench.worlds.tracers import Motion, flow_of, material_numbers, pulse
+from sabench.worlds.tracers import Motion, material_numbers, pulse, require_flow
 from tests.helpers.refusals import refused
 
 ABC = {"generator": "abc_flow", "wavelength_mm": 12.0}
@@ -35,8 +35,7 @@ def moving_scene(**changes: Any) -> Scene:
 def test_particles_follow_the_flow_and_keep_their_ids() -> None:
     scene = moving_scene()
     frames = [make_particles(scene, 3, frame) for frame in range(3)]
-    flow = flow_of(scene)
-    assert flow is not None
+    flow = require_flow(scene)
     for frame, (before, after) in enumerate(itertools.pairwise(frames)):
         _, first, second = np.intersect1d(before.id, after.id, return_indices=True)
         assert 0.5 * len(before) < len(first) < len(before)
@@ -160,8 +159,7 @@ def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
     data = generate(scene, tmp_path / "data", seed=2, backend="splat")
     assert [data.setup.time_s(frame) for frame in range(2)] == [0.0, 0.002]
     assert data.scene.flow == scene.flow
-    flow = flow_of(data.scene)
-    assert flow is not None
+    flow = require_flow(data.scene)
     for frame in range(2):
         particles = data.particles(frame)
         assert_allclose(particles.velocity_mm_s, flow.velocity(particles.position_mm, 0.0))
@@ -170,8 +168,7 @@ def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
 def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
     scene = moving_scene(frames=2, flow_grid_mm=[2.0, 2.5, 1.5])
     data = generate(scene, tmp_path / "data", seed=2, backend="splat")
-    flow = flow_of(scene)
-    assert flow is not None
+    flow = require_flow(scene)
     with h5py.File(data.root / "truth.h5") as file:
         group = file["frames/0001/flow"]
         low, step, velocity, gradient = (

@@ -25,7 +25,7 @@ def drawn(
     hollow: float = 0.0,
     noise: float = 0.0,
 ) -> F32:
-    """Dark ellipses (column, row, semi-axes, angle), blurred, bright within a part of themselves."""
+    """Dark ellipses (column, row, semi-axes, angle), blurred, bright within a part of them."""
     y, x = ((np.mgrid[: size[0] * FINE, : size[1] * FINE] + 0.5) / FINE - 0.5).astype(np.float64)
     dark: Bool = np.zeros(y.shape, dtype=np.bool_)
     for column, row, a, b, angle in shapes:

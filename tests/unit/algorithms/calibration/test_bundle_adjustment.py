@@ -189,9 +189,8 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
     case, _, points, exact = case_of(scene)
     problem = CalibrationProblem.from_case(case, FreeParameters())
     fit = bundle_adjustment.refine(problem.start, problem.seen, FreeParameters())
-    answer = problem.answer(problem.align_to_nominal(fit.state))
+    answer: Any = problem.answer(problem.align_to_nominal(fit.state))
     found = answer.points_mm
-    assert found is not None
     assert true_error_px(answer.cameras, found, exact) < 1e-5
     motion = fit_lateral_motion(found.reshape(-1, 3), points.reshape(-1, 3))
     assert np.abs(motion(found) - points).max() < 1e-3

@@ -15,8 +15,6 @@ from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.algorithms.calibration.resection import place_boards
 from sabench.api.make import make_algorithm
-from sabench.geometry.camera import Camera
-from sabench.geometry.refraction import Wall
 from tests.helpers.calibration_tanks import make_tank, off_wall, solve, with_places
 from tests.helpers.refusals import check_sentence, refused
 
@@ -78,9 +76,7 @@ def test_a_negative_glass_is_refused() -> None:
 def test_a_free_glass_stays_near_its_nominal_thickness() -> None:
     """Images without a model's error say little of it, which the prior shows."""
     case, _, _ = make_tank()
-    camera = solve(case, thicknesses=[0]).cameras[0]
-    assert isinstance(camera, Camera)
-    assert isinstance(camera.wall, Wall)
+    camera: Any = solve(case, thicknesses=[0]).cameras[0]
     assert camera.wall.layers[0].thickness_mm == pytest.approx(8.0, abs=6.0)
 
 

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -91,12 +92,12 @@ def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, k
     assert str(caught.value).isprintable()
 
 
+def is_alive(pid: int) -> bool:
+    return psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie"
+
+
 def alive(folder: Path) -> list[int]:
-    return [
-        int(file.name)
-        for file in folder.glob("[0-9]*")
-        if psutil.pid_exists(int(file.name)) and psutil.Process(int(file.name)).status() != "zombie"
-    ]
+    return [pid for file in folder.glob("[0-9]*") if is_alive(pid := int(file.name))]
 
 
 DAEMON = """
@@ -225,18 +226,14 @@ def test_the_last_line_is_printable() -> None:
 
 
 def test_a_tree_is_killed_whole() -> None:
-    code = (
-        "import subprocess, sys, time\n"
-        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
-        "print(child.pid, flush=True)\ntime.sleep(60)"
-    )
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
-    assert process.stdout is not None
+    start, wait = "subprocess.Popen([sys.executable, '-c', wait])", "import time; time.sleep(60)"
+    code = f"import subprocess, sys; wait = {wait!r}; print({start}.pid, flush=True); exec(wait)"
+    process: Any = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
     with process.stdout:
         below = int(process.stdout.readline())
     kill_tree(process.pid)
     assert process.wait() == -signal.SIGKILL
     end = time.monotonic() + 5.0
-    while psutil.pid_exists(below) and psutil.Process(below).status() != "zombie":
+    while is_alive(below):
         assert time.monotonic() < end
         time.sleep(0.02)

@@ -20,7 +20,7 @@ from sabench.simulation.pipeline import generate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.worlds.library.array_files import Array, read_arrays, speed_mm_s
-from sabench.worlds.tracers import Motion, flow_of
+from sabench.worlds.tracers import Motion, require_flow
 from tests.conftest import ROOT
 from tests.helpers.refusals import refused
 from tests.unit.worlds.test_tracers import moving_scene
@@ -297,8 +297,7 @@ def test_a_data_set_keeps_its_field(tmp_path: Path) -> None:
     data = generate(scene, tmp_path / "data", seed=1, backend="splat")
     assert field_scene(Path(shutil.copy(original, tmp_path / "copy.h5"))).hash == scene.hash
     original.unlink()
-    flow, particles = flow_of(data.scene), data.particles(1)
-    assert flow is not None
+    flow, particles = require_flow(data.scene), data.particles(1)
     assert_allclose(flow.velocity(particles.position_mm, 0.0), particles.velocity_mm_s)
     assert not verify(data.root)
     own, name = data.root / "scene.toml", data.manifest.scene
