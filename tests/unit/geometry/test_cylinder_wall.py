@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from sabench.evaluation.gates.independent_projection import aim_at, shoot
 from sabench.geometry import cylinder_wall
-from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.camera import aim, aimed_rotation
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import (
@@ -32,17 +32,12 @@ def cylinder(outer_radius_mm: float, *layers: LayerSpec, **more: Any) -> Cylinde
     return CylinderSpec(outer_radius_mm=outer_radius_mm, **(own | more))
 
 
+ASIDE: dict[str, Any] = {"axis_point_mm": (3.0, -2.0, 5.0), "axis": (0.3, 1.0, -0.2)}
+THIN = LayerSpec(index=1.49, thickness_mm=2.0)
 SPECS = {
     "glass": cylinder(40.0, GLASS),
     "bare": cylinder(40.0),
-    "tilted": cylinder(
-        55.0,
-        GLASS,
-        LayerSpec(index=1.49, thickness_mm=2.0),
-        axis_point_mm=(3.0, -2.0, 5.0),
-        axis=(0.3, 1.0, -0.2),
-        fluid_index=1.36,
-    ),
+    "tilted": cylinder(55.0, GLASS, THIN, fluid_index=1.36, **ASIDE),
     "air gap": cylinder(60.0, GLASS, LayerSpec(index=1.0, thickness_mm=4.0), GLASS),
     "denser outside": cylinder(40.0, GLASS, air_index=1.333, fluid_index=1.0),
 }
@@ -59,20 +54,6 @@ def points_in(spec: CylinderSpec, share: float, count: int, seed: int) -> F64:
         [radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-60.0, 60.0, count)]
     )
     return np.asarray(np.asarray(spec.axis_point_mm) + local @ frame)
-
-
-def camera_behind(wall: Wall | CylinderWall) -> Camera:
-    """A camera with a distorted lens, aimed at the origin."""
-    camera = make_camera(
-        rows=800,
-        columns=1000,
-        center_mm=triple(PINHOLE),
-        principal_distance_mm=100.0,
-        principal_point_px=(500.0, 400.0),
-        distortion=Distortion(k1=-0.2, p1=1e-3),
-        wall=wall,
-    )
-    return aim(camera, (0.0, 0.0, 0.0))
 
 
 def misses(at: F64, along: F64, points: F64) -> F64:
@@ -101,7 +82,10 @@ def test_paths_and_rays_are_those_of_a_vector_tracer(kind: str) -> None:
 @pytest.mark.parametrize("kind", SPECS)
 def test_a_camera_projects_and_back_projects(kind: str) -> None:
     spec = SPECS[kind]
-    camera, points = camera_behind(build_wall(spec)), points_in(spec, 0.3, 200, 2)
+    lens = {"principal_distance_mm": 100.0, "distortion": Distortion(k1=-0.2, p1=1e-3)}
+    size = {"rows": 800, "columns": 1000, "principal_point_px": (500.0, 400.0)}
+    plain = make_camera(center_mm=triple(PINHOLE), wall=build_wall(spec), **lens, **size)
+    camera, points = aim(plain, (0.0, 0.0, 0.0)), points_in(spec, 0.3, 200, 2)
     pixels, valid = camera.project(points)
     rays = camera.back_project(pixels)
     assert valid.all()

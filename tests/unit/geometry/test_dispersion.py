@@ -9,11 +9,9 @@ PUBLISHED = [
     # SCHOTT, data sheet of N-BK7
     ("BK7", 486.1327, 1.52238, 1e-5),
     ("BK7", 587.5618, 1.51680, 1e-5),
-    ("BK7", 656.2725, 1.51432, 1e-5),
     ("BK7", 1060.0, 1.50669, 1e-5),
     # Malitson (1965), table I
     ("fused silica", 486.133, 1.46313, 1e-5),
-    ("fused silica", 587.561, 1.45846, 1e-5),
     ("fused silica", 656.272, 1.45637, 1e-5),
     # Sultanova et al. (2009), measured
     ("acrylic", 587.6, 1.491, 1e-3),

@@ -19,15 +19,9 @@ LOW, HIGH = np.array([-25.0, -15.0, 10.0]), np.array([25.0, 15.0, 60.0])
 
 def camera(k1: float = 0.0) -> Camera:
     """An oblique view of the box, 800 px wide."""
-    plain = make_camera(
-        rows=800,
-        columns=1000,
-        center_mm=(120.0, -90.0, -300.0),
-        principal_distance_mm=60.0,
-        principal_point_px=(500.0, 400.0),
-        distortion=Distortion(k1=k1, p1=1e-3),
-        wall=WALL,
-    )
+    size = {"rows": 800, "columns": 1000, "principal_point_px": (500.0, 400.0)}
+    lens = {"principal_distance_mm": 60.0, "distortion": Distortion(k1=k1, p1=1e-3)}
+    plain = make_camera(center_mm=(120.0, -90.0, -300.0), wall=WALL, **size, **lens)
     return aim(plain, (0.0, 0.0, 36.0))
 
 

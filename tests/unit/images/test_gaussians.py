@@ -74,13 +74,7 @@ def test_shares_in_numpy_are_those_of_kernels() -> None:
 _SHAPE = (24, 30)
 _NOISE = 3.0
 # px/mm of three cameras: columns and rows by x, y, z
-_SLOPES = np.array(
-    [
-        [[10.0, 0.0, 3.0], [0.0, 10.0, 0.0]],
-        [[9.0, 0.0, -4.0], [0.0, 9.5, 1.0]],
-        [[10.0, 1.0, 0.5], [-1.0, 10.0, 4.0]],
-    ]
-)
+_SLOPES = np.reshape([10, 0, 3, 0, 10, 0, 9, 0, -4, 0, 9.5, 1, 10, 1, 0.5, -1, 10, 4], (3, 2, 3))
 _CENTER = np.array([15.0, 11.5])
 _SIGMA = 0.8
 
@@ -88,14 +82,9 @@ _SIGMA = 0.8
 def _cameras(position_mm: F64, light: F64) -> list[ParticleSpots]:
     """Make affine cameras that see particles (n, 3), with equal noise everywhere."""
     count = len(position_mm)
+    rest = light, np.full(count, _SIGMA), np.full(_SHAPE, _NOISE**2)
     return [
-        ParticleSpots(
-            _CENTER + position_mm @ slope.T,
-            np.broadcast_to(slope, (count, 2, 3)).copy(),
-            light,
-            np.full(count, _SIGMA),
-            np.full(_SHAPE, _NOISE**2),
-        )
+        ParticleSpots(_CENTER + position_mm @ slope.T, np.tile(slope, (count, 1, 1)), *rest)
         for slope in _SLOPES
     ]
 

@@ -114,14 +114,9 @@ def vectors(
     """Scores of displacements where detection i of a frame is its true bubble i."""
     true = true_bubbles()
     rows = [np.arange(len(one)) for one in places]
-    return vector_scores(
-        places,
-        track,
-        [one.center_mm for one in true],
-        [one.id for one in true],
-        [(own, own) for own in rows],
-        sequences or [range(4)],
-    )
+    truth = [one.center_mm for one in true], [one.id for one in true]
+    pairs = [(own, own) for own in rows]
+    return vector_scores(places, track, *truth, pairs, sequences or [range(4)])
 
 
 def test_displacements_err_by_the_difference_of_both_ends() -> None:
@@ -155,12 +150,8 @@ def _frame(
     trajectory: list[int], identity: list[int], pairs: list[tuple[int, int]], apart: float = 0.0
 ) -> Sightings:
     rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return Sightings(
-        np.array(trajectory, int),
-        np.array(identity, int),
-        (rows[:, 0], rows[:, 1]),
-        np.full(len(rows), apart),
-    )
+    numbers = np.array(trajectory, int), np.array(identity, int)
+    return Sightings(*numbers, (rows[:, 0], rows[:, 1]), np.full(len(rows), apart))
 
 
 def test_the_truth_is_complete() -> None:

@@ -17,15 +17,9 @@ from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from tests.helpers.refusals import refused
 
-OWN = {
-    "camera": "camera_02",
-    "focal_length_mm": 60.0,
-    "f_number": 8.0,
-    "distortion": {"k1": -0.3, "p2": 0.01},
-    "principal_point_px": [150.25, 128.5],
-    "pixel_mm": 0.015,
-    "tilt_deg": [4.0, -6.0],
-}
+OWN: dict[str, Any] = {"camera": "camera_02", "focal_length_mm": 60.0, "f_number": 8.0}
+OWN |= {"distortion": {"k1": -0.3, "p2": 0.01}, "principal_point_px": [150.25, 128.5]}
+OWN |= {"pixel_mm": 0.015, "tilt_deg": [4.0, -6.0]}
 
 
 def scene_with(*each: dict[str, Any], **tables: Any) -> Scene:

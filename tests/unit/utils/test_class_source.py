@@ -12,14 +12,13 @@ SOURCE = '''
 from sabench.api import {base} as Base
 
 class Own(Base):
-    """One line.
+    """One line."""
+
+class Named(Own):
+    """Another line.
 
     More lines.
     """
-
-class Named(Own):
-    """Another line."""
-
     name = "named"
 '''
 

@@ -16,27 +16,21 @@ from sabench.utils.compiled import numba
 from sabench.utils.kernel_folder import hash_sources
 
 UTILS = ("compiled.py", "kernel_folder.py", "version.py")
-CALLEE = '''"""Callee."""
-
+CALLEE = """
 from sabench.utils.compiled import numba
 
-
 @numba.njit(cache=True)
-def callee() -> int:
-    """Return a number."""
+def callee():
     return {number}
-'''
-CALLER = '''"""Caller."""
-
+"""
+CALLER = """
 from sabench.callee import callee
 from sabench.utils.compiled import numba
 
-
 @numba.njit(cache=True)
-def caller() -> int:
-    """Call the other one."""
+def caller():
     return 10 * callee()
-'''
+"""
 
 
 def write_package(folder: Path) -> Path:

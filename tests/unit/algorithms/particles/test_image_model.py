@@ -38,12 +38,8 @@ def image_of(model: image_model.ImageModel, room: image_model.Room, position: F6
 def points_in_pixels(room: image_model.Room) -> F64:
     """Places (row, column, 2) as (column, row) within pixels of the window, px."""
     fine = (np.arange(FINE) + 0.5) / FINE - 0.5
-    column, row = (
-        (
-            room.corner[CAMERA, k] - image_model.MARGIN_PX + np.arange(room.window)[:, None] + fine
-        ).ravel()
-        for k in range(2)
-    )
+    corner = room.corner[CAMERA] - image_model.MARGIN_PX
+    column, row = ((at + np.arange(room.window)[:, None] + fine).ravel() for at in corner)
     return np.stack(np.meshgrid(column, row), axis=-1)
 
 

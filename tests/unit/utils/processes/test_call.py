@@ -54,27 +54,20 @@ def test_faults_become_input_errors() -> None:
 
 
 SLOW_START = """
-import os
-import sys
-
+import os, sys
 os.environ["PARENT"] = str(os.getpid())
 from sabench.dataset.verification import probe
 from sabench.utils.processes import call
 from slow_to_import import SlowPath
-
 call._CPU_S = 0.5
 probe(SlowPath(sys.argv[1]))
 """
 SLOW_MODULE = """
-import os
-import time
+import os, time
 from pathlib import PosixPath
-
 if os.getpid() != int(os.environ["PARENT"]):
     time.sleep(2.0)
-
-class SlowPath(PosixPath):
-    pass
+class SlowPath(PosixPath): pass
 """
 
 
