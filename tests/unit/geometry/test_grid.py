@@ -124,14 +124,6 @@ def test_particles_however_far_away_add_nothing(far_mm: float) -> None:
 LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([2.0, 3.0, 4.0])
 
 
-def area(normal: F64, point: F64) -> float:
-    corners = cut_box(LOW, HIGH, point, normal)
-    assert_allclose((corners - point) @ normal, 0.0, atol=1e-12)
-    assert (corners >= LOW - 1e-12).all()
-    assert (corners <= HIGH + 1e-12).all()
-    return float(ConvexHull(corners @ frame_of_normal(normal)[:2].T).volume)
-
-
 @pytest.mark.parametrize(
     ("normal", "expected"),
     [
@@ -142,4 +134,10 @@ def area(normal: F64, point: F64) -> float:
     ],
 )
 def test_sections_through_the_middle_have_known_areas(normal: list[float], expected: float) -> None:
-    assert area(np.array(normal), (LOW + HIGH) / 2.0) == pytest.approx(expected)
+    middle, across = (LOW + HIGH) / 2.0, np.array(normal)
+    corners = cut_box(LOW, HIGH, middle, across)
+    assert_allclose((corners - middle) @ across, 0.0, atol=1e-12)
+    assert (corners >= LOW - 1e-12).all()
+    assert (corners <= HIGH + 1e-12).all()
+    area = ConvexHull(corners @ frame_of_normal(across)[:2].T).volume
+    assert area == pytest.approx(expected)

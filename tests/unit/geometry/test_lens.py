@@ -155,15 +155,11 @@ def test_renderers_have_the_rays_of_tilted_cameras() -> None:
         camera, np.asarray(camera.center_mm), column, row, (mi.Float(2.0), mi.Float(-1.5))
     )
     forward = exact @ np.asarray(camera.rotation)[2]
-    image = onto_sensor(UPRIGHT, distorted(camera, exact))[0]
+    local = exact @ np.asarray(camera.rotation).T
+    image = onto_sensor(UPRIGHT, distort(lens, local[:, :2] / local[:, 2:])[0])[0]
     inverse = 1.0 / camera.focus_mm - image @ focus_slope(camera.tilt_deg) / 88.0
     sharp = exact / (forward * inverse)[:, None]  # where all rays of a pixel meet
     offset = sharp - np.array(aside.o).T
     direction = np.array(aside.d).T
     cross = np.cross(offset / np.linalg.norm(offset, axis=1, keepdims=True), direction)
     assert np.abs(cross).max() < 5e-6
-
-
-def distorted(camera: Camera, directions: F64) -> F64:
-    local = directions @ np.asarray(camera.rotation).T
-    return distort(camera.distortion, local[:, :2] / local[:, 2:])[0]

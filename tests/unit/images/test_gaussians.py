@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import erf
 
 from sabench.images.gaussians import (
     fill_bend,
@@ -16,12 +15,7 @@ from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.metrics.particle_bounds import rms_over_bound
 from sabench.utils.arrays import F64
 from sabench.utils.vector_units import LANES, whole_lanes
-
-
-def expected_shares(center: float, sigma: float, first: int, pixels: int) -> F64:
-    edges = first - 0.5 - center + np.arange(pixels + 1)
-    shares: F64 = 0.5 * np.diff(erf(edges / (sigma * np.sqrt(2.0))))
-    return shares
+from tests.helpers.image_model import profile
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
@@ -35,7 +29,7 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
         center, first = random.uniform(-20.0, 20.0), int(random.integers(-20, 20))
         fill_shares(center, sigma, first, pixels, alone)
         fill_profile(center, sigma, first, pixels, shares, slopes)
-        expected = expected_shares(center, sigma, first, pixels)
+        expected = profile(np.array([center - first]), sigma, pixels)[0]
         assert_allclose(shares[:pixels], expected, rtol=0.0, atol=1e-8 + rounding)
         assert_array_equal(shares, alone)
         assert not shares[pixels:].any()
@@ -90,17 +84,10 @@ def _cameras(position_mm: F64, light: F64) -> list[ParticleSpots]:
 
 
 def _images(position_mm: F64, light: F64) -> F64:
-    """Make the images of all cameras as one vector, by another formula than the kernels."""
-    rows, columns = (np.arange(size + 1) - 0.5 for size in _SHAPE)
-    shots = []
-    for slope in _SLOPES:
-        image = np.zeros(_SHAPE)
-        for (x, y), amount in zip(_CENTER + position_mm @ slope.T, light, strict=True):
-            across = np.diff(erf((columns - x) / (_SIGMA * np.sqrt(2.0)))) / 2.0
-            down = np.diff(erf((rows - y) / (_SIGMA * np.sqrt(2.0)))) / 2.0
-            image += amount * np.outer(down, across)
-        shots.append(image.ravel())
-    return np.concatenate(shots)
+    """The images of all cameras as one vector, by another formula than the kernels'."""
+    pixels = [_CENTER + position_mm @ slope.T for slope in _SLOPES]
+    sides = [[profile(own[:, k], _SIGMA, _SHAPE[1 - k]) for k in (0, 1)] for own in pixels]
+    return np.array([np.einsum("n,nr,nc->rc", light, y, x) for x, y in sides]).ravel()
 
 
 def _slopes(position_mm: F64, light: F64) -> F64:
@@ -116,21 +103,16 @@ def _slopes(position_mm: F64, light: F64) -> F64:
     return np.stack(columns, axis=1)
 
 
-def _of_all(position_mm: F64, light: F64) -> F64:
-    """Invert the information of all particles together."""
-    slopes = _slopes(position_mm, light) / _NOISE
-    covariance = np.linalg.inv(slopes.T @ slopes)
-    rows = 4 * np.arange(len(light))[:, None] + np.arange(3)
-    return np.stack([covariance[np.ix_(one, one)] for one in rows])
-
-
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_the_bound_is_the_inverse_of_the_whole_information(count: int) -> None:
     position = np.array([[0.03, 0.02, 0.0], [0.2, 0.05, 0.06], [0.1, 0.25, -0.1]])[:count]
     light = np.array([900.0, 700.0, 1100.0])[:count]
     found = position_bounds(_cameras(position, light), np.arange(count))
-    assert_allclose(found, _of_all(position, light), rtol=5e-3, atol=1e-8)
+    slopes = _slopes(position, light) / _NOISE
+    covariance = np.linalg.inv(slopes.T @ slopes).reshape(count, 4, count, 4)
+    expected = [covariance[n, :3, n, :3] for n in range(count)]
+    assert_allclose(found, expected, rtol=5e-3, atol=1e-8)
 
 
 def test_particles_that_the_images_do_not_fix_have_no_bound() -> None:

@@ -154,20 +154,17 @@ def test_a_place_is_dense_from_its_void_fraction_on(dense: bool) -> None:
     assert recall == 0.5 if dense else np.isnan(recall)
 
 
-def area_between(one: F64, other: F64) -> float:
-    ends = np.sort(np.concatenate([one, other]))
-    first, second = (
-        np.searchsorted(np.sort(part), ends[:-1], side="right") / len(part) for part in (one, other)
-    )
-    return float(np.sum(np.abs(first - second) * np.diff(ends)))
-
-
 @pytest.mark.parametrize("count", [40, 57])
 def test_the_distance_is_the_area_between_both_distribution_functions(count: int) -> None:
     rng = np.random.default_rng(3)
     own, true = rng.lognormal(-0.7, 0.5, count), rng.lognormal(-0.8, 0.55, 57)
     scores = size_scores(own, true)
-    assert scores["sizes_mm"] == pytest.approx(area_between(own, true), rel=1e-9)
+    ends = np.sort(np.concatenate([own, true]))
+    first, second = (
+        np.searchsorted(np.sort(part), ends[:-1], side="right") / len(part) for part in (own, true)
+    )
+    area = np.sum(np.abs(first - second) * np.diff(ends))
+    assert scores["sizes_mm"] == pytest.approx(area, rel=1e-9)
     assert scores["sizes_percent"] == pytest.approx(100.0 * scores["sizes_mm"] / true.mean())
     if count == len(true):  # mean difference of equal ranks
         ranks = np.abs(np.sort(own) - np.sort(true)).mean()

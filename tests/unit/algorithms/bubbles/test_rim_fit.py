@@ -102,19 +102,16 @@ def test_a_spheroid_is_found_again(spoiled: bool) -> None:
 STEPS = 1e-6 * np.array([1.0, 1.0, 0.01, 0.01, 0.01])  # px, px, and 1/px^2 of the shape
 
 
-def ellipse_of(rng: np.random.Generator) -> F64:
-    long, short, angle = rng.uniform(3.0, 9.0), rng.uniform(2.0, 3.0), rng.uniform(0.0, np.pi)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    shape = turn @ np.diag([long**-2.0, short**-2.0]) @ turn.T
-    return np.array([20.3, 18.7, shape[0, 0], shape[0, 1], shape[1, 1]])
-
-
 def test_derivatives_are_those_of_differences() -> None:
     """Differences that cross from one cell of the table to the next one are left out."""
     rng, table, blur = np.random.default_rng(1), PROFILE.table, PROFILE.blur_px
     errors, largest = [], 0.0
     for _ in range(2000):
-        ellipse, (column, row) = ellipse_of(rng), rng.integers(10, 30, 2).tolist()
+        long, short, angle = rng.uniform([3.0, 2.0, 0.0], [9.0, 3.0, np.pi])
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        shape = turn @ np.diag([long**-2.0, short**-2.0]) @ turn.T
+        ellipse = np.array([20.3, 18.7, shape[0, 0], shape[0, 1], shape[1, 1]])
+        column, row = rng.integers(10, 30, 2).tolist()
         found = np.zeros(5)
         here = rim_fit.slopes_at(ellipse, column, row, 4.0, table, blur, found)
         assert here == max(rim_fit.shade_at(ellipse, column, row, 4.0, table, blur), rim_fit.DIM)

@@ -20,7 +20,7 @@ from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.geometry.triangulation import triangulate
-from sabench.images.peaks import Peaks, sort_peaks
+from sabench.images.peaks import sort_peaks
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64, triple
@@ -52,11 +52,6 @@ def images_of(world: F64, cameras: tuple[Camera, ...] = RIG.cameras) -> list[F64
     return [camera.project(world)[0] for camera in cameras]
 
 
-def peaks_of(world: F64, cameras: tuple[Camera, ...] = RIG.cameras) -> tuple[Peaks, ...]:
-    shape = cameras[0].rows, cameras[0].columns
-    return tuple(sort_peaks(own, shape) for own in images_of(world, cameras))
-
-
 def test_images_are_triangles_of_one_orientation_that_grow_towards_the_apertures() -> None:
     world = np.array([[5.0, -3.0, z] for z in (-40.0, 0.0, 40.0)])
     a, b, c = superimposed(images_of(world)).transpose(1, 0, 2)
@@ -84,7 +79,9 @@ def test_positions_from_exact_images_are_exact_and_those_of_least_squares() -> N
 
 def test_triplets_of_exact_images_are_found_and_no_others() -> None:
     world = points(2000)
-    found = match_triangles(APERTURES, RIG.cameras, peaks_of(world), RIG.grid, 0.02)
+    shape = RIG.cameras[0].rows, RIG.cameras[0].columns
+    peaks = tuple(sort_peaks(own, shape) for own in images_of(world))
+    found = match_triangles(APERTURES, RIG.cameras, peaks, RIG.grid, 0.02)
     near = np.linalg.norm(found.position[:, None] - world[None], axis=2).min(axis=1)
     assert (near < 1e-6).sum() == 2000
     assert len(found.position) < 2060  # by chance

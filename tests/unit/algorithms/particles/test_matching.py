@@ -31,10 +31,6 @@ def peaks_of(pixels: tuple[F64, ...]) -> tuple[Peaks, ...]:
     return tuple(sort_peaks(own, (ROWS, COLUMNS)) for own in pixels)
 
 
-def first(maps: Maps, cameras: int) -> VolumePolynomials:
-    return VolumePolynomials(np.ascontiguousarray(maps.coefficients[:cameras]), *maps[1:])
-
-
 def test_slopes_of_maps_are_their_differences(maps: Maps) -> None:
     pixel, slope = np.zeros(2), np.zeros((2, 3))
     for point in np.vstack([unit_points(5), np.zeros((1, 3))]):
@@ -55,7 +51,8 @@ def open_sensors(cameras: int) -> Bool:
 def test_all_particles_are_found_where_they_are(maps: Maps, cameras: int, count: int) -> None:
     points = unit_points(count)
     peaks = peaks_of(images_of(points, maps, cameras))
-    found = matching.find_peak_sets(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
+    first = VolumePolynomials(np.ascontiguousarray(maps.coefficients[:cameras]), *maps[1:])
+    found = matching.find_peak_sets(first, peaks, 0.1, open_sensors(cameras))
     assert distances(found.position, points, maps).max() < 2e-3
     assert found.error_px.max() < 0.1
     best = matching.select_best(found, peaks)

@@ -27,13 +27,13 @@ from tests.unit.algorithms.tomography.test_projection_operator import (
 Step = Callable[[art_updates.Iterate, art_updates.RecordedLight], float]
 
 
-def sart_step(state: art_updates.Iterate, measured: art_updates.RecordedLight) -> float:
-    return art_updates.sart(state, measured, state.lines.forward(np.ones_like(state.values)), 0.8)
+def lengths_of(state: art_updates.Iterate) -> F32:
+    return state.lines.forward(np.ones_like(state.values))
 
 
 STEPS: dict[str, Step] = {
     "smart": lambda state, measured: art_updates.smart(state, measured, 0.9),
-    "sart": sart_step,
+    "sart": lambda state, measured: art_updates.sart(state, measured, lengths_of(state), 0.8),
     "block_mart": lambda state, measured: art_updates.block_mart(state, measured, 0.7),
     "mart": lambda state, measured: art_updates.mart(state, measured, 0.9),
 }
@@ -79,15 +79,13 @@ def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
         missing = np.divide(p - cast, lengths, out=np.zeros_like(p), where=lengths > 0.0)
         return np.asarray(np.maximum(values + 0.8 * np.tensordot(missing, w, 2) / seen, 0.0))
     for camera, image in zip(w, p, strict=True):
-        by_camera = block_by_formula if name == "block_mart" else mart_by_formula
-        values = by_camera(camera, image, values)
+        if name == "mart":
+            values = mart_by_formula(camera, image, values)
+            continue
+        cast = camera @ values
+        ratio = np.divide(image, cast, out=np.ones_like(image), where=cast > 0.0)
+        values = values * np.exp(0.7 * camera.T @ np.log(ratio))
     return values
-
-
-def block_by_formula(w: F64, p: F64, values: F64) -> F64:
-    cast = w @ values
-    ratio = np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)
-    return np.asarray(values * np.exp(0.7 * w.T @ np.log(ratio)))
 
 
 def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
@@ -163,7 +161,8 @@ def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
 @pytest.mark.parametrize("name", STEPS)
 def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     state = make_state(every=9)
-    light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(art_updates.DARKEST))
+    bright = np.where(np.arange(len(state.values)) % 7 == 0, np.float32(1.0), np.float32(1e-3))
+    light = np.maximum(state.lines.forward(bright), np.float32(art_updates.DARKEST))
     measured = art_updates.RecordedLight(light, NOWHERE)
     residuals = list(
         art_updates.iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name)
@@ -171,11 +170,6 @@ def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     assert len(residuals) == 40
     assert (np.diff(residuals[:10]) < 0.0).all()
     assert residuals[-1] < 0.1 * residuals[0]
-
-
-def recorded_values(state: art_updates.Iterate) -> F32:
-    """Values that cast what is recorded: a few bright voxels in the dark."""
-    return np.where(np.arange(len(state.values)) % 7 == 0, np.float32(1.0), np.float32(1e-3))
 
 
 def test_iteration_stops_when_little_changes() -> None:

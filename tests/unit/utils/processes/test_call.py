@@ -1,5 +1,6 @@
 """Isolated calls, and reading in limited time."""
 
+import operator
 import os
 import subprocess
 import sys
@@ -17,10 +18,6 @@ from tests.conftest import ROOT
 from tests.helpers.refusals import refused
 
 
-def add(one: int, other: int) -> int:
-    return one + other
-
-
 def pid_and(variable: str) -> tuple[int, str | None]:
     return os.getpid(), os.environ.get(variable)
 
@@ -35,7 +32,7 @@ def break_off(*_: object) -> None:
 
 def test_the_child_has_the_environment_of_the_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its server started earlier, with another one."""
-    assert call_isolated(add, 2, 3, doing="sum") == 5
+    assert call_isolated(operator.add, 2, 3, doing="sum") == 5
     monkeypatch.setenv("SABENCH_TEST", "now")
     child, value = call_isolated(pid_and, "SABENCH_TEST", doing="look")
     assert value == "now"
