@@ -32,11 +32,8 @@ def change(text: str, old: str, new: str) -> str:
 
 
 FAULTS = [
-    ("focal_length_mm", "focal_lenght_mm", "cameras.focal_lenght_mm"),
     ("thickness_mm = 5.0 }", "thickness_cm = 0.5 }", "wall.layers.0.thickness_cm"),
-    ("[sensor]", "[sensr]", "sensr"),
     ("spacing_mm = [240.0", "spacing_m = [0.24", "cameras.layout.spacing_m"),
-    ("count = 300", "per_mm = 3.0", "particles.per_mm"),
     ("count = 300", "count = 300\nper_mm3 = 1.0", "count, per_mm3"),
     ('"uniform"', '"unifrom"', "unifrom"),
     ('kind = "grid"', 'kind = "gird"', "cameras.layout"),

@@ -84,14 +84,12 @@ def test_a_pixel_that_is_far_off_counts_less(off: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spoiled", [False, True])
-def test_a_spheroid_is_found_again(spoiled: bool) -> None:
-    """Also where another bubble hides a part of it in one camera."""
+def test_a_spheroid_is_found_again() -> None:
+    """Though another bubble hides a part of it in one camera."""
     true = np.array([*PLACE, 0.0, np.log(0.75), 0.1, -0.05])
     model = model_of(true)
-    if spoiled:
-        column, row = CAMERAS[1].project(PLACE[None])[0][0].astype(int)
-        model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
+    column, row = CAMERAS[1].project(PLACE[None])[0][0].astype(int)
+    model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
     start = true + np.array([0.15, -0.1, 0.2, 0.1, 0.05, -0.1, 0.05])
     found = rim_fit.fit(model, start, 40)
     assert_allclose(found[:3], PLACE, atol=0.03)

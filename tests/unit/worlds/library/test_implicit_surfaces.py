@@ -24,9 +24,7 @@ from tests.helpers.bubble_scenes import small
 from tests.helpers.refusals import refused
 
 BODIES: list[tuple[str, dict[str, Any]]] = [
-    ("hydrofoil", {"digits": "2412", "points": 40}),
     ("hydrofoil", {"digits": "0030", "points": 8}),
-    ("propeller", {"step_mm": 0.5}),
     ("propeller", {"step_mm": 0.5, "blades": 3, "pitch_mm": -20.0, "diameter_mm": 25.0}),
     ("reef", {"step_mm": 0.6}),
     ("reef", {"step_mm": 0.6, "tunnels": 0, "size_mm": [20.0, 30.0, 24.0]}),
