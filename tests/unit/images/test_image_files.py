@@ -54,13 +54,13 @@ def test_pattern(tmp_path: Path) -> None:
 
 
 def test_patterns_that_fail_and_folders_without_images(tmp_path: Path) -> None:
-    touch(tmp_path, "a_1.tif", "a_1b.tif", "raw/B1.im7", "raw/B2.im7")
+    touch(tmp_path, "in/a_1.tif", "in/a_1b.tif", "raw/B1.im7", "raw/B2.im7")
     for pattern in ("{frame}.tif", "{camera}{kind}.tif", "{camera}{camera}.tif"):
         with refused("{camera}"):
-            found(tmp_path, pattern)
+            found(tmp_path / "in", pattern)
     for pattern in ("x/{camera}.tif", "*{camera}_{frame}*.tif"):
-        with refused():
-            found(tmp_path, pattern)
+        with refused("in/"):
+            found(tmp_path / "in", pattern)
     with refused("raw", "2", ".im7"):
         found(tmp_path / "raw")
     with refused("none"):

@@ -85,7 +85,9 @@ def refuse(folder: Path, *keys: str) -> None:
 
 def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path: Path) -> None:
     refuse(tmp_path / "none", "none")
-    refuse(tmp_path, str(tmp_path))
+    tmp_path = tmp_path / "in"
+    tmp_path.mkdir()
+    refuse(tmp_path, "in")
     for content in (b"no image at all", b""):
         (tmp_path / "a.tif").write_bytes(content)
         refuse(tmp_path, "a.tif")

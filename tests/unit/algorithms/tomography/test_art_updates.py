@@ -99,7 +99,7 @@ def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize(("name", "footprint"), zip(STEPS, [BLOB, BILINEAR] * 2, strict=True))
+@pytest.mark.parametrize(("name", "footprint"), [*zip(STEPS, [BLOB, BILINEAR] * 2, strict=True)])
 def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
     state = make_state(footprint)
     measured = recorded(state, 2)
