@@ -179,10 +179,14 @@ def test_a_killed_server_is_reported_and_replaced(servers: Servers) -> None:
     assert servers.running() == [1, 2]
     servers.request(2, 1)
     assert servers.receive() == Reply(2, 2)
-    os.kill(servers.pids[1], signal.SIGKILL)
+
+
+def test_a_request_to_a_dead_server_raises_nothing(servers: Servers) -> None:
+    servers.running()
+    os.kill(servers.pids[0], signal.SIGKILL)
     time.sleep(0.1)
-    servers.request(1, 1)  # to a dead one, it raises nothing
-    assert servers.receive() == Reply(1, end="signal SIGKILL")
+    servers.request(0, 1)
+    assert servers.receive() == Reply(0, end="signal SIGKILL")
 
 
 def test_half_an_answer_is_none(servers: Servers) -> None:
