@@ -1,5 +1,4 @@
-"""The pinhole camera with distortion against OpenCV and closed forms. Also arrays of cameras, and
-the meaning of focusing through a wall."""
+"""The pinhole camera with distortion against OpenCV and closed forms."""
 
 import itertools
 import math
@@ -16,17 +15,12 @@ from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
 from sabench.scenes import cameras
 from sabench.scenes.focusing import apparent_distance_mm
-from sabench.utils.arrays import F64, Bool, triple
+from sabench.utils.arrays import F64, triple
 from tests.helpers.cameras import make_camera
 
 BROWN = Distortion(-0.12, 0.03, 2e-3, -3e-3, 0.01)
-GLASS = Wall(
-    (0.0, 0.0, 0.0),
-    (0.0, 0.0, 1.0),
-    1.0,
-    (Layer("glass", 1.52, 5.0), Layer("gap", 1.1, 2.0)),
-    1.333,
-)
+LAYERS = (Layer("glass", 1.52, 5.0), Layer("gap", 1.1, 2.0))
+GLASS = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, LAYERS, 1.333)
 TILTED = replace(GLASS, normal=(0.28, 0.0, 0.96))
 
 
@@ -41,17 +35,7 @@ def seen_by_opencv(camera: Camera, points: F64) -> F64:
     return np.asarray(pixels).reshape(-1, 2)
 
 
-@pytest.mark.parametrize(
-    "lens",
-    [
-        Distortion(),
-        BROWN,
-        Distortion(k1=0.2),
-        Distortion(p1=0.01),
-        Distortion(p2=0.01),
-        Distortion(k3=-0.05),
-    ],
-)
+@pytest.mark.parametrize("lens", [Distortion(), BROWN])
 def test_projection_is_that_of_opencv(lens: Distortion) -> None:
     camera = make_camera(distortion=lens)
     points = np.random.default_rng(1).uniform([-100.0, -60.0, 0.0], [100.0, 60.0, 90.0], (200, 3))
@@ -74,7 +58,7 @@ def test_undistorting_inverts_distorting(lens: Distortion) -> None:
     assert_allclose(back, ideal, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.8, 0.95, 0.99])
+@pytest.mark.parametrize("share", [0.5, 0.99])
 def test_undistorting_works_up_to_the_fold(share: float) -> None:
     camera, turn = make_camera(distortion=Distortion(k1=-0.3)), np.linspace(0.0, 6.0, 25)
     radius = share / math.sqrt(3.0 * 0.3)
@@ -85,16 +69,13 @@ def test_undistorting_works_up_to_the_fold(share: float) -> None:
     assert_allclose(found, ideal, rtol=0, atol=1e-11)
 
 
-def along_radius(camera: Camera, radii: F64) -> tuple[F64, Bool]:
-    local = np.stack([0.6 * radii, 0.8 * radii, np.ones_like(radii)], axis=1)
-    return camera.project(np.asarray(camera.center_mm) + 30.0 * local @ np.asarray(camera.rotation))
-
-
-@pytest.mark.parametrize("radius", [0.99, 1.01, 1.3, 1.6, 1.8, 2.5])
+@pytest.mark.parametrize("radius", [0.99, 1.01, 1.6, 2.5])
 def test_points_past_the_fold_of_the_lens_are_not_valid(radius: float) -> None:
     fold = 1.0 / math.sqrt(3.0 * 0.3)  # where r (1 - 0.3 r^2) turns back
-    _, valid = along_radius(make_camera(distortion=Distortion(k1=-0.3)), np.array([radius * fold]))
-    assert valid[0] == (radius < 1.0)
+    camera = make_camera(distortion=Distortion(k1=-0.3))
+    local = np.array([[0.6 * radius * fold, 0.8 * radius * fold, 1.0]])
+    points = np.asarray(camera.center_mm) + 30.0 * local @ np.asarray(camera.rotation)
+    assert camera.project(points)[1][0] == (radius < 1.0)
 
 
 def test_pixel_without_an_ideal_point_is_not_valid() -> None:
@@ -138,32 +119,13 @@ def test_aimed_rotation_is_a_rotation(forward: tuple[float, float, float]) -> No
     assert axes[1] @ [0.0, 1.0, 0.0] >= 0.0
 
 
-@pytest.mark.parametrize("wall", [None, GLASS, TILTED])
+@pytest.mark.parametrize("wall", [None, TILTED])
 @pytest.mark.parametrize("lens", [Distortion(), BROWN])
 def test_aiming_puts_the_target_on_the_principal_point(wall: Wall | None, lens: Distortion) -> None:
-    camera = aim(
-        make_camera(wall=wall, distortion=lens, center_mm=(150.0, -90.0, -300.0)), (3.0, 4.0, 40.0)
-    )
+    plain = make_camera(wall=wall, distortion=lens, center_mm=(150.0, -90.0, -300.0))
+    camera = aim(plain, (3.0, 4.0, 40.0))
     expected = camera.principal_point_px
     assert_allclose(camera.project([[3.0, 4.0, 40.0]])[0][0], expected, rtol=0, atol=1e-9)
-
-
-def corner_integral(a: float, b: float) -> float:
-    """Return the integral of (1 + x^2 + y^2)^-2 over 0..a, 0..b. It is pi times the view factor of
-    a plate from a point below its corner."""
-    p, q = math.hypot(1.0, a), math.hypot(1.0, b)
-    return 0.5 * (a / p * math.atan(b / p) + b / q * math.atan(a / q))
-
-
-def test_etendue_adds_up_to_the_view_of_the_sensor() -> None:
-    camera = make_camera()
-    found = camera.etendue()
-    left, right, top, bottom = 260.5 / 600.0, 239.5 / 600.0, 140.5 / 600.0, 159.5 / 600.0
-    total = sum(corner_integral(a, b) for a in (left, right) for b in (top, bottom))
-    assert found.shape == (300, 500)
-    assert found.sum() == pytest.approx(math.pi * (5.0 / 16.0) ** 2 * total, rel=1e-6)
-    assert found.argmax() == 140 * 500 + 260
-    assert found[140, 260] == pytest.approx(math.pi * (5.0 / 16.0) ** 2 / 600.0**2, rel=1e-6)
 
 
 def test_pixels_that_the_lens_does_not_reach_collect_nothing() -> None:
@@ -177,12 +139,14 @@ def test_pixels_that_the_lens_does_not_reach_collect_nothing() -> None:
     assert not found[reached > 1.01].any()
 
 
-def test_etendue_of_one_pixel_is_an_integral_over_it() -> None:
+@pytest.mark.parametrize("lens", [Distortion(), BROWN])
+def test_etendue_of_one_pixel_is_an_integral_over_it(lens: Distortion) -> None:
     """Gauss-Legendre, with the ideal coordinates' Jacobian from differences."""
-    camera = make_camera(distortion=BROWN)
+    camera = make_camera(distortion=lens)
     etendue, (nodes, weights) = camera.etendue(), leggauss(3)
+    assert etendue.shape == (300, 500)
     around = 1e-3 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [0.0, 0.0]])
-    for row, column in ((0, 0), (299, 499), (17, 480)):
+    for row, column in ((0, 0), (299, 499), (17, 480), (140, 260)):
         total = 0.0
         for i, j in itertools.product(range(3), repeat=2):
             place = np.array([column + nodes[i] / 2.0, row + nodes[j] / 2.0])
@@ -215,15 +179,10 @@ def test_apparent_distance_is_that_of_the_pencil(sine: float) -> None:
     assert apparent_distance_mm(camera, target) == pytest.approx(expected, rel=1e-6)
 
 
-def test_apparent_distance_is_paraxial_at_normal_incidence_and_plain_in_air() -> None:
-    target = np.array([0.0, 0.0, 52.0])
-    camera = aim(make_camera(wall=GLASS, center_mm=(0.0, 0.0, -350.0), f_number=200.0), target)
-    expected = 350.0 + 5.0 / 1.52 + 2.0 / 1.1 + 45.0 / 1.333
-    assert apparent_distance_mm(camera, target) == pytest.approx(expected, rel=1e-8)
-    plain = aim(make_camera(center_mm=(40.0, 30.0, -350.0), distortion=BROWN), target)
-    assert apparent_distance_mm(plain, target) == pytest.approx(
-        math.hypot(40.0, 30.0, 402.0), rel=1e-12
-    )
+def test_apparent_distance_is_plain_in_air() -> None:
+    plain = aim(make_camera(center_mm=(40.0, 30.0, -350.0), distortion=BROWN), [0.0, 0.0, 52.0])
+    found = apparent_distance_mm(plain, np.array([0.0, 0.0, 52.0]))
+    assert found == pytest.approx(math.hypot(40.0, 30.0, 402.0), rel=1e-12)
 
 
 def test_focus_is_the_thin_lens_conjugate() -> None:
@@ -261,13 +220,9 @@ def test_the_projection_kernel_and_the_traced_path_agree(layers: int) -> None:
     air, *indices, fluid = rng.uniform(1.0, 2.4, layers + 2).tolist()
     stack = tuple(Layer("layer", index, float(rng.uniform(0.01, 20.0))) for index in indices)
     wall = Wall((3.0, -4.0, 5.0), triple(normal), air, stack, fluid)
-    camera = make_camera(
-        center_mm=(1.0, 2.0, -400.0),
-        rotation=aimed_rotation(normal),
-        principal_distance_mm=85.0,
-        distortion=Distortion(k1=0.02, p2=-0.01),
-        wall=wall,
-    )
+    lens = {"principal_distance_mm": 85.0, "distortion": Distortion(k1=0.02, p2=-0.01)}
+    place = {"center_mm": (1.0, 2.0, -400.0), "rotation": aimed_rotation(normal)}
+    camera = make_camera(wall=wall, **lens, **place)
     points = rng.uniform(-150.0, 150.0, (3000, 3)) + np.array([0.0, 0.0, 100.0])
     points[7] = np.nan
     paths = trace_to_points(wall, np.asarray(camera.center_mm), points)

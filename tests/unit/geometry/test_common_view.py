@@ -1,5 +1,7 @@
 """Volumes that all cameras see."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -17,10 +19,9 @@ from sabench.geometry.common_view import (
     share_in_view,
 )
 from sabench.geometry.polynomial_cameras import fit_soloff
-from sabench.geometry.refraction import Wall
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 from tests.helpers.small_particles import rotate_cameras
 
 
@@ -65,9 +66,9 @@ def test_fitted_cameras_see_no_further_than_their_fit() -> None:
 
 def test_lines_of_sight_must_meet() -> None:
     camera = build_rig(load_scene("particle-tracking-air"), "air").cameras[0]
-    with pytest.raises(InputError, match="lines of sight meet"):
+    with refused():
         propose_box([camera])
-    with pytest.raises(InputError, match="expected x0,x1"):
+    with refused("x0", "x1"):
         grid_of_box(np.ones(3), np.zeros(3), 0.1)
     far = grid_of_box(np.full(3, 1e3), np.full(3, 1.1e3), 1.0)
     assert share_in_view(camera, far)[1] == 0.0
@@ -96,9 +97,8 @@ def test_ends_of_paths_are_imaged_on_the_border(scene: str) -> None:
 
 
 def test_paths_bend_on_the_faces_of_the_wall_by_snells_law() -> None:
-    camera = build_rig(load_scene("quick")).cameras[0]
+    camera: Any = build_rig(load_scene("quick")).cameras[0]
     paths, wall = paths_of(camera, "quick"), camera.wall
-    assert isinstance(wall, Wall)
     for corner, depth in zip(range(1, 3), wall.interface_depths_mm, strict=True):
         assert wall.depth_of(paths[:, corner]) == pytest.approx(depth, abs=1e-9)
     steps = np.diff(paths, axis=1)
@@ -110,9 +110,8 @@ def test_paths_bend_on_the_faces_of_the_wall_by_snells_law() -> None:
 
 
 def test_paths_cross_both_faces_of_a_cylinder() -> None:
-    camera = build_rig(load_scene("cylinder-tank")).cameras[1]
+    camera: Any = build_rig(load_scene("cylinder-tank")).cameras[1]
     paths, wall = paths_of(camera, "cylinder-tank"), camera.wall
-    assert wall is not None
     assert np.abs(wall.depth_of(paths[:, 1])).max() < 1e-6
     assert wall.depth_of(paths[:, 2]) == pytest.approx(wall.thickness_mm, abs=1e-6)
 

@@ -1,5 +1,4 @@
-"""Discs in front of the wall. Their shadow in truth and in both renderers, and the solvers that may
-see them."""
+"""Discs in front of the wall: their shadow in the truth and in both renderers."""
 
 import math
 import tomllib
@@ -9,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.optimize import brentq
 
 import sabench
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
+from sabench.geometry.refraction import trace_to_points
 from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
@@ -31,8 +30,7 @@ def with_discs(scene: Scene, *discs: dict[str, Any]) -> Scene:
 
 
 def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -> dict[str, Any]:
-    """Return the table of a disc on the optical axis. It stands at `share` of the distance to the
-    wall of the quick scene (z = 0)."""
+    """A disc on the optical axis, at `share` of the distance to the quick scene's wall (z = 0)."""
     start, forward = np.asarray(camera.center_mm), np.asarray(camera.rotation[2])
     return {
         "center_mm": (start - forward * (share * start[2] / forward[2])).tolist(),
@@ -41,37 +39,25 @@ def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -
     }
 
 
-def crossing(camera: Camera, point: F64, z_mm: float) -> F64:
-    """Return the position at depth z < 0 of the light path from a point to a pinhole. The path
-    passes the quick scene's wall (z = 0, normal z). Snell's law and a root search."""
-    wall, pinhole = camera.wall, np.asarray(camera.center_mm)
-    assert wall is not None
-    depths = np.array(
-        [-pinhole[2], *(layer.thickness_mm for layer in wall.layers), point[2] - wall.thickness_mm]
-    )
-    offset = (point - pinhole)[:2]
-
-    def miss(sine: float) -> float:
-        return float(np.sum(depths * np.tan(np.arcsin(sine / wall.indices))) - np.hypot(*offset))
-
-    sine = brentq(miss, 0.0, 0.999, xtol=1e-15)
-    lateral = (z_mm - pinhole[2]) * math.tan(math.asin(sine / wall.indices[0]))
-    return np.append(pinhole[:2] + lateral * offset / np.hypot(*offset), z_mm)
-
-
 def test_truth_lies_in_the_shadow_that_snell_gives() -> None:
     disc = before_camera(QUICK, 0.6, 2.0)
     scene = with_discs(make_scene(), disc)
     positions = np.random.default_rng(1).uniform([-7.0, -5.0, 28.0], [7.0, 5.0, 32.0], (400, 3))
     images = image_particles(scene, QUICK, cloud(positions), None, build_rig(scene).occluders)
     open_images = image_particles(scene, QUICK, cloud(positions), None)
-    met = np.array([crossing(QUICK, point, disc["center_mm"][2]) for point in positions])
+    start, depth = np.asarray(QUICK.center_mm), disc["center_mm"][2]
+    leaving = trace_to_points(QUICK.wall, start, positions).leaving
+    met = start + leaving * ((depth - start[2]) / leaving[:, 2:])
     hidden = np.linalg.norm(met - disc["center_mm"], axis=1) <= 2.0
     assert 50 < hidden.sum() < 350
     assert_array_equal(images.photons == 0.0, hidden)
     assert_array_equal(images.visible, open_images.visible & ~hidden)
     assert_array_equal(images.photons[~hidden], open_images.photons[~hidden])
     assert_array_equal(images.pixel, open_images.pixel)
+
+
+def unit(ways: F64) -> F64:
+    return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True))
 
 
 def outline(camera: Camera, disc: Disc) -> F64:
@@ -82,29 +68,16 @@ def outline(camera: Camera, disc: Disc) -> F64:
     edge = disc.center_mm + disc.radius_mm * (
         np.cos(turn) * across + np.sin(turn) * np.cross(disc.normal, across)
     )
-    ways = edge - camera.center_mm
-    return camera.pixels_of(
-        ways / np.linalg.norm(ways, axis=1, keepdims=True), np.ones(len(edge), dtype=np.bool_)
-    )[0]
+    return camera.pixels_of(unit(edge - camera.center_mm), np.ones(len(edge), dtype=np.bool_))[0]
 
 
 def distance_inside(polygon: F64, pixels: F64) -> F64:
-    """Return the distance of pixels (n, 2) from a convex polygon's border, px. Positive inside the
-    polygon, negative outside."""
+    """Distance of pixels (n, 2) from a convex polygon's border, px, positive inside."""
     side = np.roll(polygon, -1, axis=0) - polygon
-    normal = np.stack([-side[:, 1], side[:, 0]], axis=1) / np.linalg.norm(
-        side, axis=1, keepdims=True
-    )
-    inward = normal * np.sign(
-        np.sum(normal * (polygon.mean(axis=0) - polygon), axis=1, keepdims=True)
-    )
+    normal = unit(np.stack([-side[:, 1], side[:, 0]], axis=1))
+    towards = np.sum(normal * (polygon.mean(axis=0) - polygon), axis=1, keepdims=True)
+    inward = normal * np.sign(towards)
     return np.asarray(np.min(np.sum((pixels[:, None] - polygon) * inward, axis=2), axis=1))
-
-
-def over_the_image(camera: Camera, polygon: F64) -> F64:
-    row, column = np.mgrid[: camera.rows, : camera.columns]
-    pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
-    return distance_inside(polygon, pixels).reshape(camera.rows, camera.columns)
 
 
 @pytest.mark.slow_but_first
@@ -120,9 +93,8 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
     away = np.abs(inside) > 8.0
     assert min((away & (inside > 0.0)).sum(), (away & (inside < 0.0)).sum()) >= 5
     assert_array_equal(images.visible, inside < 0.0)
-    traced = moments(
-        render(camera, images, positions, 16, occluders) * camera.etendue() + 1e-12, pixels, 6
-    )[0]
+    light = render(camera, images, positions, 16, occluders) * camera.etendue()
+    traced = moments(light + 1e-12, pixels, 6)[0]
     formula = moments(particles_splatted.render(camera, images) + 1e-12, pixels, 6)[0]
     assert_allclose(traced[away], formula[away], rtol=0.02)
     assert (formula[away & (inside > 0.0)] < 1e-9).all()
@@ -130,11 +102,9 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
 
 @pytest.mark.slow
 def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
-    """The edge of a disc cuts images. Also those of particles whose own path is stopped, where they
-    reach beyond the edge."""
-    scene = with_discs(
-        make_scene(cameras={"particle_sigma_px": 2.0}), before_camera(QUICK, 0.3, 0.5)
-    )
+    """Also images of particles whose own path is stopped."""
+    wide = make_scene(cameras={"particle_sigma_px": 2.0})
+    scene = with_discs(wide, before_camera(QUICK, 0.3, 0.5))
     discs = build_rig(scene).occluders
     polygon = outline(QUICK, discs[0])
     edge = QUICK.back_project(polygon[::30] + np.random.default_rng(5).uniform(-2.0, 2.0, (24, 2)))
@@ -143,11 +113,11 @@ def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
         image_particles(scene, QUICK, cloud(positions), None, occluders)
         for occluders in (discs, ())
     )
-    whole, cut = (
-        render(QUICK, open_images, positions, 9),
-        render(QUICK, images, positions, 9, discs),
-    )
-    inside = over_the_image(QUICK, polygon)
+    whole = render(QUICK, open_images, positions, 9)
+    cut = render(QUICK, images, positions, 9, discs)
+    row, column = np.mgrid[: QUICK.rows, : QUICK.columns]
+    every = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    inside = distance_inside(polygon, every).reshape(row.shape)
     assert 4 < images.visible.sum() < 20
     assert (whole > 0.0).sum() > 500
     assert_array_equal(cut[inside < -1.0], whole[inside < -1.0])
@@ -184,9 +154,7 @@ def test_the_true_field_keeps_particles_that_one_camera_misses() -> None:
 
 
 def all_stopped(disc: Disc, *directions: tuple[float, float, float]) -> Bool:
-    return disc.stops(
-        np.zeros(3), np.array(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
-    )
+    return disc.stops(np.zeros(3), unit(np.array(directions)))
 
 
 def test_a_disc_stops_what_meets_it() -> None:
@@ -202,16 +170,15 @@ def test_a_disc_stops_what_meets_it() -> None:
 
 @pytest.mark.slow
 def test_occluders_are_in_the_scene_file_and_are_not_shown_to_solvers(tmp_path: Path) -> None:
-    scene = with_discs(make_scene(particles={"count": 20}), before_camera(QUICK, 0.5, 0.7))
-    free = sabench.generate(
-        make_scene(particles={"count": 20}), tmp_path / "free", backend="splat", name="s"
+    plain = make_scene(particles={"count": 20})
+    scene = with_discs(plain, before_camera(QUICK, 0.5, 0.7))
+    free, made = (
+        sabench.generate(one, tmp_path / name, backend="splat", name="s")
+        for one, name in ((plain, "free"), (scene, "made"))
     )
-    made = sabench.generate(scene, tmp_path / "made", backend="splat", name="s")
     assert (made.root / "cameras.json").read_bytes() == (free.root / "cameras.json").read_bytes()
-    assert (
-        tomllib.loads((made.root / "scene.toml").read_text())["occluders"]
-        == scene.to_dict()["occluders"]
-    )
+    table = tomllib.loads((made.root / "scene.toml").read_text())
+    assert table["occluders"] == scene.to_dict()["occluders"]
     assert "occluders" not in tomllib.loads((free.root / "scene.toml").read_text())
     (made.root / "scene.toml").unlink()
     (made.root / "truth.h5").unlink()

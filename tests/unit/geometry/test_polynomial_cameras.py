@@ -16,10 +16,10 @@ from sabench.geometry.triangulation import intersect, triangulate
 from sabench.scenes import build_rig
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
 from tests.conftest import pinholes
 from tests.helpers.calibration_cases import calibration_scene
 from tests.helpers.particle_scenes import make_scene
+from tests.helpers.refusals import refused
 
 Z_PLANES = np.linspace(15.0, 55.0, 6)
 
@@ -36,25 +36,18 @@ def fitted(camera: Camera) -> list[CameraModel]:
     by_plane = [points[:, 2] == z for z in Z_PLANES]
     size = (camera.name, camera.rows, camera.columns)
     planes = fit_planes(*size, [points[own] for own in by_plane], [pixels[own] for own in by_plane])
-    return [
-        camera,
-        fit_projective(*size, points, pixels),
-        fit_soloff(*size, points, pixels),
-        planes,
-    ]
+    fits = [fit(*size, points, pixels) for fit in (fit_projective, fit_soloff)]
+    return [camera, *fits, planes]
 
 
 @pytest.mark.parametrize(("kind", "most"), [(1, 0.35), (2, 0.01), (3, 0.1)])
 def test_what_is_lost_without_refraction(kind: int, most: float) -> None:
-    """Models without refraction lose little at D = 0.3. Mean errors of exact points of a corner
-    camera: a projective map 0.16 px, Soloff's polynomial below 0.01 px, planes 8 mm apart 0.06
-    px."""
+    """At D = 0.3: a projective map 0.16 px, Soloff's 0.01 px, planes 8 mm apart 0.06 px."""
     camera = build_rig(calibration_scene()).cameras[0]
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-20.0, 20.0, (1000, 2)), rng.uniform(15.0, 55.0, 1000)])
-    errors = np.linalg.norm(
-        fitted(camera)[kind].project(points)[0] - camera.project(points)[0], axis=1
-    )
+    off = fitted(camera)[kind].project(points)[0] - camera.project(points)[0]
+    errors = np.linalg.norm(off, axis=1)
     assert 0.0005 < errors.mean() < most
 
 
@@ -70,8 +63,7 @@ def test_a_camera_in_air_is_projective() -> None:
 
 @pytest.mark.parametrize("kind", [0, 1, 2, 3])
 def test_lines_of_sight_lead_back(kind: int) -> None:
-    """`carry` keeps the pixel, and so does `back_project`. The latter up to the bend of a
-    polynomial's lines between its ends."""
+    """Those of polynomials up to the bend of a line between its ends."""
     model = fitted(build_rig(calibration_scene()).cameras[3])[kind]
     points = lattice(10.0)
     pixels, valid = model.project(points)
@@ -80,11 +72,8 @@ def test_lines_of_sight_lead_back(kind: int) -> None:
     assert_allclose(model.project(there)[0], pixels, atol=1e-6)
     rays = model.back_project(pixels)
     assert rays.valid.all()
-    near = (
-        rays.origins_mm
-        + rays.directions
-        * ((points[:, 2] - rays.origins_mm[:, 2]) / rays.directions[:, 2])[:, None]
-    )
+    length = (points[:, 2] - rays.origins_mm[:, 2]) / rays.directions[:, 2]
+    near = rays.origins_mm + rays.directions * length[:, None]
     assert np.abs(near - points).max() < (0.02 if kind > 1 else 1e-6)
     inside = model.contains(np.array([[0.0, 0.0], [-1.0, 5.0], [5.0, 1e6], [np.nan, 0.0]]))
     assert inside.tolist() == [True, False, False, False]
@@ -109,20 +98,18 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
     flat = points[points[:, 2] == Z_PLANES[0]]
     pixels = rng.random((len(flat), 2))
     for fit in (fit_projective, fit_soloff):
-        with pytest.raises(InputError, match=r"cam: .*expected .*points"):
+        with refused("cam"):
             fit("cam", 10, 10, flat, pixels)
-    with pytest.raises(InputError, match="cam: expected points on two planes at least, got 1"):
+    with refused("cam", "1"):
         fit_planes("cam", 10, 10, [flat], [pixels])
-    with pytest.raises(InputError, match="cam: frame 1: a polynomial of 6 terms"):
-        fit_planes(
-            "cam", 10, 10, [flat, flat[:3] + np.array([0.0, 0.0, 5.0])], [pixels, pixels[:3]]
-        )
+    with refused("cam: frame 1", "6"):
+        higher = flat[:3] + np.array([0.0, 0.0, 5.0])
+        fit_planes("cam", 10, 10, [flat, higher], [pixels, pixels[:3]])
 
 
 @pytest.mark.slow
 def test_reconstruction_runs_on_polynomials() -> None:
-    """Refocusing by Soloff's polynomials agrees with that by the exact cameras. It does so as far
-    as the cameras agree."""
+    """Refocusing agrees as far as the cameras do."""
     shot = simulate(make_scene(particles={"count": 40}), seed=2)
     seen = shot.observation
     low = np.asarray(seen.grid.low_mm)
@@ -153,9 +140,8 @@ def test_a_mirrored_or_turned_camera_has_the_same_centre() -> None:
     assert_allclose(turned, centre, rtol=1e-7)
 
 
-MATRIX = np.array(
-    [[900.0, 12.0, 310.0, 9e4], [-8.0, 870.0, 240.0, 7e4], [0.05, -0.03, 1.0, 300.0]]
-)  # the volume is about 300 mm in front of the camera
+# the volume is about 300 mm in front of the camera
+MATRIX = np.array([[900, 12, 310, 9e4], [-8, 870, 240, 7e4], [0.05, -0.03, 1, 300]])
 
 
 def points_of(count: int) -> F64:
@@ -167,7 +153,7 @@ def pixels_of(points: F64) -> F64:
     return np.asarray(image[:, :2] / image[:, 2:])
 
 
-@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1.0, 1e6])
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e6])
 def test_a_fit_does_not_depend_on_the_unit_of_length(unit: float) -> None:
     points = points_of(30)
     found = fit_projective("one", 480, 640, unit * points, pixels_of(points))

@@ -1,5 +1,4 @@
-"""Copies of the projection against the reference. See
-docs/developing/copies-of-the-projection.md."""
+"""Copies of the projection against the reference."""
 
 import runpy
 from dataclasses import replace

@@ -1,18 +1,14 @@
-"""The light path through a wall, against paths that are built by hand. Snell, Fermat, Fresnel and
-the symmetries of space."""
+"""The light path through a wall, against paths that are built by hand."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.spatial.transform import Rotation
 
 import sabench.geometry.refraction
 from sabench.geometry.camera import Camera, aimed_rotation
-from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import (
     Layer,
     Wall,
@@ -46,8 +42,7 @@ def make_wall(
 
 
 def random_walls() -> list[Wall]:
-    """Make 20 walls of 0 to 4 layers, 0.01 to 50 mm thick. They are tilted by up to 35 degrees, and
-    some of the layers are rarer than both sides."""
+    """Tilted walls of 0 to 4 layers, 0.01 to 50 mm thick, some rarer than both sides."""
     rng = np.random.default_rng(20)
     walls = []
     for k in range(20):
@@ -55,10 +50,8 @@ def random_walls() -> list[Wall]:
         if k % 5 == 3:
             indices[[0, 2, -1]] = 1.5, 1.0, 1.7  # an air gap in glass
         thicknesses = 10.0 ** rng.uniform(-2.0, math.log10(50.0), k % 5)
-        normal = [*rng.uniform(-0.5, 0.5, 2), 1.0]
-        walls.append(
-            make_wall(indices.tolist(), thicknesses.tolist(), normal, rng.uniform(-40.0, 40.0, 3))
-        )
+        place = [*rng.uniform(-0.5, 0.5, 2), 1.0], rng.uniform(-40.0, 40.0, 3)
+        walls.append(make_wall(indices.tolist(), thicknesses.tolist(), *place))
     return walls
 
 
@@ -85,20 +78,6 @@ def hand_paths(wall: Wall, count: int, seed: int) -> list[F64]:
         lateral, depth = hand_path(wall, before, *ends)
         paths.append(wall.point_mm + np.outer(lateral, across) + np.outer(depth, normal))
     return paths
-
-
-def crossings(wall: Wall, start: F64, leaving: F64) -> list[F64]:
-    normal, here, direction, met = np.asarray(wall.normal), start, leaving, []
-    for depth, n1, n2 in zip(
-        wall.interface_depths_mm, wall.indices[:-1], wall.indices[1:], strict=True
-    ):
-        plane = np.asarray(wall.point_mm) + depth * normal
-        here = here + direction * ((plane - here) @ normal) / (direction @ normal)
-        met.append(here)
-        tangent = direction - (direction @ normal) * normal
-        angle = math.asin(n1 / n2 * float(np.linalg.norm(np.cross(direction, normal))))
-        direction = math.cos(angle) * normal + math.sin(angle) * unit(tangent)
-    return met
 
 
 def sine_of(segment: F64, normal: Any) -> float:
@@ -135,8 +114,7 @@ def test_fermat_no_neighbouring_path_is_shorter(wall: Wall) -> None:
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stopping rule asks for no more digits than a double has. Newton's iteration doubles its
-    digits; with a stricter rule it would run to its limit."""
+    """The stopping rule asks for no more digits than a double has."""
     calls, lateral = [], sabench.geometry.refraction._lateral
 
     def counted(*arguments: Any) -> Any:
@@ -154,9 +132,8 @@ def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.Monke
 def test_back_projection_returns_to_the_point(wall: Wall) -> None:
     paths = hand_paths(wall, 60, 5)
     points = np.stack([path[-1] for path in paths])
-    camera = straight_camera(
-        wall, center_mm=triple(paths[0][0]), rotation=aimed_rotation(np.asarray(wall.normal))
-    )
+    axes = aimed_rotation(np.asarray(wall.normal))
+    camera = straight_camera(wall, center_mm=triple(paths[0][0]), rotation=axes)
     pixels, valid = camera.project(points)
     rays = camera.back_project(pixels)
     assert valid.all()
@@ -171,12 +148,9 @@ def test_back_projection_returns_to_the_point(wall: Wall) -> None:
 def test_grazing_points_end_near_the_critical_angle(behind: float) -> None:
     wall = make_wall([1.0, 1.5, 1.333], [5.0])
     pinhole, point = np.array([0.0, 0.0, -300.0]), np.array([1e4, 0.0, 5.0 + behind])
-    leaving = trace_to_points(wall, pinhole, point[None]).leaving[0]
-    corners = [pinhole, *crossings(wall, pinhole, leaving), point]
-    sines = [sine_of(step, wall.normal) for step in np.diff(corners, axis=0)]
-    invariants = wall.indices * sines
-    assert_allclose(invariants, invariants[0], rtol=0, atol=1e-7)
-    assert 0.999 < invariants[0] < 1.0
+    sine = sine_of(trace_to_points(wall, pinhole, point[None]).leaving[0], wall.normal)
+    assert 0.999 < sine < 1.0
+    assert hand_path(wall, 300.0, behind, sine)[0][-1] == pytest.approx(1e4, rel=1e-6)
 
 
 @pytest.mark.parametrize("indices", [[1.5, 1.0], [1.5, 1.0, 1.6], [1.5, 1.7, 1.0, 1.6]])
@@ -219,13 +193,6 @@ def test_rays_that_leave_the_wall_are_not_valid() -> None:
     assert rays.valid.tolist() == [True, False, False, False]
 
 
-def test_brewsters_angle_passes_all_of_the_parallel_part() -> None:
-    direction = np.array([[1.52, 0.0, 1.0]]) / math.hypot(1.0, 1.52)
-    reflected = ((1.0 - 1.52**2) / (1.0 + 1.52**2)) ** 2  # of the other part
-    found = transmittance(make_wall([1.0, 1.52], []), ANYWHERE, direction)[0]
-    assert found == pytest.approx(1.0 - reflected / 2.0, rel=1e-13)
-
-
 @pytest.mark.parametrize("wall", WALLS)
 def test_transmittance_is_the_transmitted_power(wall: Wall) -> None:
     """n2 cos2 |t|^2 / (n1 cos1) of each interface, the mean over both polarisations."""
@@ -237,43 +204,6 @@ def test_transmittance_is_the_transmitted_power(wall: Wall) -> None:
         expected = np.prod(n2 * c2 / (n1 * c1) * (across**2 + along**2) / 2.0)
         found = transmittance(wall, path[0], unit(path[1] - path[0])[None])[0]
         assert found == pytest.approx(expected, rel=1e-10)
-
-
-@pytest.mark.parametrize("wall", WALLS)
-def test_transmittance_is_the_same_in_both_directions(wall: Wall) -> None:
-    paths = hand_paths(wall, 20, 8)
-    found = trace_to_points(wall, paths[0][0], np.stack([path[-1] for path in paths]))
-    back = make_wall(
-        wall.indices[::-1].tolist(),
-        [layer.thickness_mm for layer in wall.layers][::-1],
-        normal=-np.asarray(wall.normal),
-    )
-    expected = transmittance(back, ANYWHERE, -found.arriving)
-    assert_allclose(transmittance(wall, ANYWHERE, found.leaving), expected, rtol=0, atol=1e-11)
-
-
-def test_moving_the_whole_world_moves_no_pixel() -> None:
-    rng = np.random.default_rng(9)
-    wall = make_wall(
-        [1.0, 1.52, 1.1, 1.333], [5.0, 0.4], normal=(0.1, 0.05, 1.0), point=(3.0, 4.0, 5.0)
-    )
-    camera = straight_camera(wall, distortion=Distortion(-0.1, 0.02, 1e-3, -2e-3, 0.01))
-    points = rng.uniform([-30.0, -20.0, 40.0], [30.0, 20.0, 90.0], (40, 3))
-    pixels, valid = camera.project(points)
-    assert valid.all()
-    for turn in Rotation.random(5, rng=rng).as_matrix():
-        shift = rng.uniform(-500.0, 500.0, 3)
-        moved_wall = replace(
-            wall, point_mm=triple(turn @ wall.point_mm + shift), normal=triple(turn @ wall.normal)
-        )
-        axes = np.asarray(camera.rotation) @ turn.T
-        moved = replace(
-            camera,
-            center_mm=triple(turn @ camera.center_mm + shift),
-            rotation=(triple(axes[0]), triple(axes[1]), triple(axes[2])),
-            wall=moved_wall,
-        )
-        assert_allclose(moved.project(points @ turn.T + shift)[0], pixels, rtol=0, atol=1e-8)
 
 
 def test_order_and_splitting_of_layers_do_not_matter() -> None:
@@ -320,24 +250,17 @@ def test_derivatives_are_those_of_lateral(relative: F64, depths_mm: list[F64 | f
 
 @pytest.mark.parametrize(("relative", "depths_mm"), PATHS)
 def test_the_first_slope_is_of_fifth_order(relative: F64, depths_mm: list[F64 | float]) -> None:
-    """Half the slope leaves a 32nd of the error: it is of fifth order."""
-    slope = np.array([2e-2, 1e-2])
-    error = _start(relative, depths_mm, _lateral(relative, depths_mm, slope)[0]) - slope
-    assert error[0] / error[1] == pytest.approx(32.0, rel=0.1)
-
-
-@pytest.mark.parametrize(("relative", "depths_mm"), PATHS)
-def test_the_first_slope_fits_flat_paths(relative: F64, depths_mm: list[F64 | float]) -> None:
-    """A path far longer than it is deep lies in the rarest medium."""
-    slope = np.array([1e5])
+    """Half the slope leaves a 32nd of the error. A path far longer than deep is in the rarest."""
+    slope = np.array([2e-2, 1e-2, 1e5])
     start = _start(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])
-    assert_allclose(start, slope, rtol=0.05)
+    error = start - slope
+    assert error[0] / error[1] == pytest.approx(32.0, rel=0.1)
+    assert start[2] == pytest.approx(1e5, rel=0.05)
 
 
 @pytest.mark.parametrize(("relative", "depths_mm"), PATHS[:3])
 def test_halley_converges_without_a_bracket(relative: F64, depths_mm: list[F64 | float]) -> None:
     """Steep and flat paths alike need few steps, unless the rarest layer is thin."""
     slope = np.geomspace(1e-3, 1e2, 60)
-    found = _halley(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])
-    assert found is not None
+    found: Any = _halley(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])
     assert_allclose(found[0], slope, rtol=1e-9)

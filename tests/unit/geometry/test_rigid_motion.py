@@ -2,13 +2,18 @@
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 from sabench.algorithms.bubbles.search import turn_camera, turn_grid, viewing_axes
+from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
+from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import (
     RigidMotion,
     fit_lateral_motion,
@@ -16,7 +21,7 @@ from sabench.geometry.rigid_motion import (
     rotation_matrices,
 )
 from sabench.scenes import build_rig, load_scene
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, triple
 
 Fit = Callable[[F64, F64], RigidMotion]
 
@@ -47,11 +52,22 @@ def axis_rotations() -> list[F64]:
     return made
 
 
+def shifted(camera: Camera, shift: F64) -> Camera:
+    wall: Any = camera.wall
+    key = "point_mm" if isinstance(wall, Wall) else "axis_point_mm"
+    moved = replace(wall, **{key: triple(shift + getattr(wall, key))})
+    return replace(camera, center_mm=triple(shift + camera.center_mm), wall=moved)
+
+
 @pytest.mark.parametrize("scene", ["quick", "cylinder-tank", "two-faces"])
 def test_turned_cameras_and_walls_see_the_same(scene: str) -> None:
     cameras = build_rig(load_scene(scene)).cameras
     points = np.random.default_rng(1).uniform(-3.0, 3.0, (30, 3))
-    for axes in axis_rotations():
+    shift = np.array([300.0, -200.0, 70.0])
+    for camera in cameras[:2]:
+        moved = shifted(camera, shift).project(points + shift)[0]
+        assert_allclose(moved, camera.project(points)[0], rtol=0.0, atol=1e-7)
+    for axes in [*axis_rotations(), *Rotation.random(5, random_state=9).as_matrix()]:
         for camera in cameras[:2]:
             turned = turn_camera(camera, axes)
             expected, seen = camera.project(points)
@@ -74,7 +90,6 @@ def test_turned_grids_hold_the_same_voxels() -> None:
     for axes in axis_rotations():
         turned = turn_grid(grid, axes)
         there = np.stack(np.meshgrid(*turned.axes_mm, indexing="ij"), axis=-1).reshape(-1, 3)
-        assert {*map(tuple, np.round(there @ axes, 9) + 0.0)} == {
-            *map(tuple, np.round(corners, 9) + 0.0)
-        }
+        own, same = ({*map(tuple, np.round(one, 9) + 0.0)} for one in (corners, there @ axes))
+        assert own == same
         assert sorted(turned.crop) == sorted(grid.crop)

@@ -1,5 +1,7 @@
 """Background of images, and bright things that are no particles."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -13,41 +15,24 @@ from sabench.images.background import (
 )
 from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64
-from tests.helpers.image_model import profile
+from tests.unit.images import test_widths
 
 ROWS, COLUMNS = 240, 320
-NOISE, LIGHT = 2.0, 200.0
+NOISE = 2.0
 
 
 def image(per_pixel: float, seed: int, spread: float = 0.3, across: F64 | None = None) -> F32:
-    """An image of particles of mean light 200 with noise, on black. Their columns are those
-    `across`, if given."""
-    rng = np.random.default_rng(seed)
-    count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
-    center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
-    if across is not None:
-        center[:, 0] = across[:count]
-    light = LIGHT * np.exp(spread * rng.standard_normal(count) - 0.5 * spread**2)
-    x, y = profile(center[:, 0], 0.7, COLUMNS), profile(center[:, 1], 0.7, ROWS)
-    shown = (y * light[:, None]).T @ x + NOISE * rng.standard_normal((ROWS, COLUMNS))
+    """An image of particles of mean light 200 with noise, on black."""
+    shown = test_widths.image(per_pixel, (0.7, 0.7), seed, spread, across, (ROWS, COLUMNS))
     return np.asarray(shown, dtype=np.float32)
 
 
-def glint(row: int, column: int, sigma: float) -> F64:
-    """A reflection thirty times as bright as a particle's peak."""
-    rows, columns = np.mgrid[:ROWS, :COLUMNS]
-    return np.asarray(
-        2000.0 * np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / (2.0 * sigma**2))
-    )
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("per_pixel", [0.0, 0.0003, 0.005, 0.02, 0.05])
+@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.05])
 def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
     ramp = np.linspace(20.0, 60.0, COLUMNS, dtype=np.float32)[None, :] * np.ones((ROWS, 1))
     shown = (image(per_pixel, 1) + ramp).astype(np.float32)
-    found = estimate_background(shown, np.ones(shown.shape, dtype=np.bool_))
-    assert found is not None
+    found: Any = estimate_background(shown, np.ones(shown.shape, dtype=np.bool_))
     apart = (found - ramp)[24:-24, 24:-24]
     assert np.abs(np.median(apart)) < NOISE
     assert np.percentile(np.abs(apart), 95) < 2.0 * NOISE
@@ -65,7 +50,8 @@ def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixe
 @pytest.mark.parametrize("per_pixel", [0.01, 0.1])
 def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> None:
     centers = [(60, 70, 2.0), (150, 250, 4.0)]
-    light = np.sum([glint(*one) for one in centers], axis=0)
+    glints = [test_widths.glint(*one, (ROWS, COLUMNS)) for one in centers]
+    light = 2000.0 * np.sum(glints, axis=0)  # thirty times a particle's peak
     shown = (image(per_pixel, 3) + light).astype(np.float32)[None]
     _, flaws = clear_images(shown, Flaws.none(shown.shape))
     covered = flaws.covered[0]
@@ -75,7 +61,7 @@ def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.02, 0.05])
+@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.05])
 def test_patches_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> None:
     shown, patches = image(per_pixel, 5), np.zeros((ROWS, COLUMNS))
     patches[40:80, 60:100] = patches[150:190, 201:241] = 12.0
@@ -94,24 +80,19 @@ def test_dense_particles_are_no_patches() -> None:
         shown = image(per_pixel, 6)
         found = find_patches(shown, np.ones(shown.shape, dtype=bool))
         assert np.mean(found > 0.0) < 0.01
+    shown = image(0.12, 8)  # a volume that fills a part of the image
+    shown[:, : COLUMNS // 2] = image(0.0, 9)[:, : COLUMNS // 2]
+    assert np.mean(find_patches(shown, np.ones(shown.shape, dtype=bool)) > 0.0) < 0.005
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10, 16))
+@pytest.mark.parametrize("seed", range(10, 13))
 def test_particles_that_leave_nothing_dark_are_no_patches(seed: int) -> None:
     """They are denser in the middle, as before a camera whose view passes the volume's edges."""
     across = np.random.default_rng(seed).triangular(-60.0, COLUMNS / 2, COLUMNS + 60.0, 60_000)
     shown = image(0.6, seed, across=across)
     found = find_patches(shown, np.ones(shown.shape, dtype=bool))
     assert not found.any()
-
-
-def test_dense_particles_beside_the_dark_are_no_patches() -> None:
-    """As of a volume that fills a part of the image."""
-    shown = image(0.12, 8)
-    shown[:, : COLUMNS // 2] = image(0.0, 9)[:, : COLUMNS // 2]
-    found = find_patches(shown, np.ones(shown.shape, dtype=bool))
-    assert np.mean(found > 0.0) < 0.005
 
 
 def test_spots_of_nothing_are_none() -> None:

@@ -17,7 +17,7 @@ from sabench.images.dark_noise import measure_dark_noise
 from sabench.images.gaussians import gaussian_shares
 from sabench.images.peaks import detect_particle_peaks
 from sabench.utils.arrays import F64, U16
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 
 # what is not kept: noise that was cut and smoothed, or has longer tails
 OF_PIXELS = 4 * 512**2
@@ -61,9 +61,7 @@ def test_particles_hardly_change_the_noise(
     assert np.median(found.noise) == pytest.approx(noise, rel=0.12)
 
 
-@pytest.mark.parametrize(
-    "per_pixel", [0.1, 0.15, *(pytest.param(many, marks=pytest.mark.slow) for many in (0.25, 0.5))]
-)
+@pytest.mark.parametrize("per_pixel", [0.1, pytest.param(0.5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("black", "noise", "bits", "peak", "most"),
     [
@@ -112,11 +110,10 @@ def test_what_is_not_known_tells_nothing_of_dense_particles() -> None:
 
 
 def test_forty_particles_of_a_recording_cut_at_black_are_forty_peaks() -> None:
-    place, light = particles(40)
+    light = particles(40)[1]
     image = grey(normal(np.random.default_rng(7), 0.0, 0.8) + 60.0 * light, 8)
     assert len(find_before(image, 0.0)) > 200
     assert 39 <= len(detect_particle_peaks(image).pixels) <= 42
-    assert len(place) == 40
 
 
 def test_level_and_noise_are_those_of_their_place() -> None:
@@ -172,13 +169,10 @@ def test_images_of_one_value_have_no_peaks(value: int) -> None:
     assert measure_dark_noise(image[None]).threshold().min() > value
 
 
-@pytest.mark.parametrize("shape", [(3, 3), (8, 200), (1, 5)])
-def test_small_images_are_measured(shape: tuple[int, int]) -> None:
-    image = np.random.default_rng(12).integers(0, 9, shape).astype(np.uint16)
-    assert np.isfinite(measure_dark_noise(image[None]).threshold()).all()
-
-
-def test_all_pixels_unknown_end_without_peaks() -> None:
+def test_small_and_unknown_images_are_measured() -> None:
+    for shape in ((3, 3), (8, 200), (1, 5)):
+        small = np.random.default_rng(12).integers(0, 9, shape).astype(np.uint16)
+        assert np.isfinite(measure_dark_noise(small[None]).threshold()).all()
     image = grey(normal(np.random.default_rng(13), 64.0, 2.0))
     assert len(detect_particle_peaks(image, np.ones(image.shape, dtype=np.bool_)).pixels) < 20
 
@@ -198,8 +192,8 @@ def test_smoothed_noise_is_measured_by_its_spread_not_by_its_differences() -> No
 
 def test_wrong_arguments_are_named() -> None:
     image = np.zeros((4, 4), dtype=np.uint16)
-    with pytest.raises(InputError, match=r"images: expected the shape \(frame, row, column\)"):
+    with refused("images"):
         measure_dark_noise(image)
     for wrong in (0.0, 0.5, -1.0):
-        with pytest.raises(InputError, match="false_alarms: expected a probability"):
+        with refused("false_alarms"):
             measure_dark_noise(image[None]).threshold(wrong)

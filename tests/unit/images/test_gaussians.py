@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import erf
 
 from sabench.images.gaussian_kernels import fill_bend, fill_derivatives, fill_profile, fill_shares
 from sabench.images.gaussians import gaussian_shares
@@ -11,12 +10,7 @@ from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.metrics.particle_bounds import rms_over_bound
 from sabench.utils.arrays import F64
 from sabench.utils.vector_units import LANES, whole_lanes
-
-
-def expected_shares(center: float, sigma: float, first: int, pixels: int) -> F64:
-    edges = first - 0.5 - center + np.arange(pixels + 1)
-    shares: F64 = 0.5 * np.diff(erf(edges / (sigma * np.sqrt(2.0))))
-    return shares
+from tests.helpers.image_model import profile
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
@@ -30,7 +24,7 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
         center, first = random.uniform(-20.0, 20.0), int(random.integers(-20, 20))
         fill_shares(center, sigma, first, pixels, alone)
         fill_profile(center, sigma, first, pixels, shares, slopes)
-        expected = expected_shares(center, sigma, first, pixels)
+        expected = profile(np.array([center - first]), sigma, pixels)[0]
         assert_allclose(shares[:pixels], expected, rtol=0.0, atol=1e-8 + rounding)
         assert_array_equal(shares, alone)
         assert not shares[pixels:].any()
@@ -45,12 +39,9 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
 def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
     center, first, pixels, step = 3.3, -2, 11, 1e-4 * sigma
     found, before, after = np.zeros((3, 5, pixels))
-    for at, each in zip(
-        (center, center - step, center + step), (found, before, after), strict=True
-    ):
-        fill_profile(
-            at, sigma, first, pixels, np.zeros(whole_lanes(pixels)), slopes := np.zeros(16)
-        )
+    for move, each in ((0.0, found), (-step, before), (step, after)):
+        at, room = center + move, np.zeros(whole_lanes(pixels))
+        fill_profile(at, sigma, first, pixels, room, slopes := np.zeros(16))
         each[0] = slopes[:pixels]
         fill_derivatives(at, sigma, first, each[1:])
     for n in range(1, 5):
@@ -61,27 +52,18 @@ def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
 
 
 def test_shares_in_numpy_are_those_of_kernels() -> None:
+    """Eight pixels fill eight lanes, though they have nine edges."""
+    assert [whole_lanes(pixels) for pixels in (1, 8, 9)] == [LANES, LANES, 2 * LANES]
     shares = np.zeros(whole_lanes(11))
     fill_shares(0.3, 0.8, -5, 11, shares)
     edges = np.arange(-5.0, 7.0)[None] - 0.5 - 0.3
     assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
 
 
-def test_profiles_fill_whole_lanes() -> None:
-    """Eight pixels fill eight lanes, though they have nine edges."""
-    assert [whole_lanes(pixels) for pixels in (1, 8, 9)] == [LANES, LANES, 2 * LANES]
-
-
 _SHAPE = (24, 30)
 _NOISE = 3.0
 # px/mm of three cameras: columns and rows by x, y, z
-_SLOPES = np.array(
-    [
-        [[10.0, 0.0, 3.0], [0.0, 10.0, 0.0]],
-        [[9.0, 0.0, -4.0], [0.0, 9.5, 1.0]],
-        [[10.0, 1.0, 0.5], [-1.0, 10.0, 4.0]],
-    ]
-)
+_SLOPES = np.reshape([10, 0, 3, 0, 10, 0, 9, 0, -4, 0, 9.5, 1, 10, 1, 0.5, -1, 10, 4], (3, 2, 3))
 _CENTER = np.array([15.0, 11.5])
 _SIGMA = 0.8
 
@@ -89,30 +71,18 @@ _SIGMA = 0.8
 def _cameras(position_mm: F64, light: F64) -> list[ParticleSpots]:
     """Make affine cameras that see particles (n, 3), with equal noise everywhere."""
     count = len(position_mm)
+    rest = light, np.full(count, _SIGMA), np.full(_SHAPE, _NOISE**2)
     return [
-        ParticleSpots(
-            _CENTER + position_mm @ slope.T,
-            np.broadcast_to(slope, (count, 2, 3)).copy(),
-            light,
-            np.full(count, _SIGMA),
-            np.full(_SHAPE, _NOISE**2),
-        )
+        ParticleSpots(_CENTER + position_mm @ slope.T, np.tile(slope, (count, 1, 1)), *rest)
         for slope in _SLOPES
     ]
 
 
 def _images(position_mm: F64, light: F64) -> F64:
-    """Make the images of all cameras as one vector, by another formula than the kernels."""
-    rows, columns = (np.arange(size + 1) - 0.5 for size in _SHAPE)
-    shots = []
-    for slope in _SLOPES:
-        image = np.zeros(_SHAPE)
-        for (x, y), amount in zip(_CENTER + position_mm @ slope.T, light, strict=True):
-            across = np.diff(erf((columns - x) / (_SIGMA * np.sqrt(2.0)))) / 2.0
-            down = np.diff(erf((rows - y) / (_SIGMA * np.sqrt(2.0)))) / 2.0
-            image += amount * np.outer(down, across)
-        shots.append(image.ravel())
-    return np.concatenate(shots)
+    """The images of all cameras as one vector, by another formula than the kernels'."""
+    pixels = [_CENTER + position_mm @ slope.T for slope in _SLOPES]
+    sides = [[profile(own[:, k], _SIGMA, _SHAPE[1 - k]) for k in (0, 1)] for own in pixels]
+    return np.array([np.einsum("n,nr,nc->rc", light, y, x) for x, y in sides]).ravel()
 
 
 def _slopes(position_mm: F64, light: F64) -> F64:
@@ -128,43 +98,16 @@ def _slopes(position_mm: F64, light: F64) -> F64:
     return np.stack(columns, axis=1)
 
 
-def _of_all(position_mm: F64, light: F64) -> F64:
-    """Invert the information of all particles together."""
-    slopes = _slopes(position_mm, light) / _NOISE
-    covariance = np.linalg.inv(slopes.T @ slopes)
-    rows = 4 * np.arange(len(light))[:, None] + np.arange(3)
-    return np.stack([covariance[np.ix_(one, one)] for one in rows])
-
-
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_the_bound_is_the_inverse_of_the_whole_information(count: int) -> None:
     position = np.array([[0.03, 0.02, 0.0], [0.2, 0.05, 0.06], [0.1, 0.25, -0.1]])[:count]
     light = np.array([900.0, 700.0, 1100.0])[:count]
     found = position_bounds(_cameras(position, light), np.arange(count))
-    assert_allclose(found, _of_all(position, light), rtol=5e-3, atol=1e-8)
-
-
-def test_neighbours_raise_the_bound_and_particles_far_away_do_not() -> None:
-    position = np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [-1.0, -0.8, 0.0]])
-    near, _, far = position_bounds(_cameras(position, np.full(3, 900.0)), np.arange(3))
-    first, last = (
-        position_bounds(_cameras(position[n : n + 1], np.array([900.0])), np.array([0]))[0]
-        for n in (0, 2)
-    )
-    assert np.trace(near) > 1.2 * np.trace(first)
-    assert_allclose(far, last, rtol=1e-9)
-
-
-def test_a_least_squares_fit_reaches_the_bound() -> None:
-    rng = np.random.default_rng(8)
-    position, light = np.array([[0.02, -0.03, 0.01], [0.17, 0.1, 0.05]]), np.array([2e3, 2e3])
-    bound = position_bounds(_cameras(position, light), np.array([0, 1]))
-    noise = _NOISE * rng.standard_normal((len(_images(position, light)), 4000))
-    error = (np.linalg.pinv(_slopes(position, light)) @ noise).reshape(2, 4, -1)
-    for particle in range(2):
-        every = np.broadcast_to(bound[particle], (4000, 3, 3))
-        assert rms_over_bound(error[particle, :3].T, every) == pytest.approx(1.0, abs=0.02)
+    slopes = _slopes(position, light) / _NOISE
+    covariance = np.linalg.inv(slopes.T @ slopes).reshape(count, 4, count, 4)
+    expected = [covariance[n, :3, n, :3] for n in range(count)]
+    assert_allclose(found, expected, rtol=5e-3, atol=1e-8)
 
 
 def test_particles_that_the_images_do_not_fix_have_no_bound() -> None:
@@ -182,8 +125,5 @@ def test_particles_that_the_images_do_not_fix_have_no_bound() -> None:
     none = position_bounds(saturated, np.array([0, 1]))
     assert np.isnan(none).all()
     assert np.isnan(rms_over_bound(np.zeros((2, 3)), none))
-
-
-def test_no_particles_have_no_bounds() -> None:
-    cameras = _cameras(np.zeros((0, 3)), np.zeros(0))
-    assert position_bounds(cameras, np.zeros(0, dtype=np.int64)).shape == (0, 3, 3)
+    nobody = _cameras(np.zeros((0, 3)), np.zeros(0))
+    assert position_bounds(nobody, np.zeros(0, dtype=np.int64)).shape == (0, 3, 3)

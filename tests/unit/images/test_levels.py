@@ -31,8 +31,7 @@ def recording(noise: float, per_pixel: float, black: float = 64.0) -> F64:
     return np.clip(np.rint(grey), 0, 4095)
 
 
-@pytest.mark.parametrize("noise", [0.3, 1.5, 6.0])
-@pytest.mark.parametrize("per_pixel", [0.001, 0.02, 0.05])
+@pytest.mark.parametrize(("noise", "per_pixel"), [(0.3, 0.001), (1.5, 0.02), (6.0, 0.05)])
 def test_black(noise: float, per_pixel: float) -> None:
     assert levels(recording(noise, per_pixel)).black_dn == pytest.approx(64.0, abs=0.5 + noise)
 
@@ -58,7 +57,7 @@ def test_backlit_images_have_their_black_in_the_shadows() -> None:
     assert levels(image, backlit=True).black_dn == 12.0
 
 
-@pytest.mark.parametrize("value", [0.0, 5.0, 255.0, 65535.0])
+@pytest.mark.parametrize("value", [0.0, 255.0, 65535.0])
 def test_images_without_contrast(value: float) -> None:
     found = levels(np.full((30, 40), value))
     assert 0.0 <= found.black_dn < found.white_dn
@@ -80,10 +79,8 @@ def test_neighbours_are_those_of_all_pairs() -> None:
     assert all((np.diff(near[a:b]) > 0).all() for a, b in itertools.pairwise(starts))
 
 
-def test_no_images_have_no_neighbours() -> None:
-    starts, near = near_images(np.zeros((2, 0, 2)), np.ones(2))
-    assert starts.tolist() == [0]
-    assert not len(near)
-    starts, near = near_images(np.full((2, 3, 2), np.nan), np.ones(2))
-    assert starts.tolist() == [0, 0, 0, 0]
+@pytest.mark.parametrize("count", [0, 3])
+def test_no_images_have_no_neighbours(count: int) -> None:
+    starts, near = near_images(np.full((2, count, 2), np.nan), np.ones(2))
+    assert starts.tolist() == [0] * (count + 1)
     assert not len(near)

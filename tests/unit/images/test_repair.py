@@ -28,7 +28,7 @@ def particles(sigma_px: float, per_pixel: float, seed: int = 0, noise: float = 3
     return np.asarray(np.clip(np.rint(image), 0, _WHITE), dtype=np.uint16)
 
 
-@pytest.mark.parametrize("sigma_px", [0.2, 0.48, 0.6, 0.75, 1.0, 2.0])
+@pytest.mark.parametrize("sigma_px", [0.2, 0.6, 2.0])
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05])
 def test_particles_of_any_width_are_not_taken_for_flaws(sigma_px: float, per_pixel: float) -> None:
     image = particles(sigma_px, per_pixel)

@@ -15,7 +15,7 @@ def stack(fixed: float, temporal: float, frames: int, light: F64 | float = 0.0) 
     return np.clip(np.rint(images), 0, 4095).astype(np.uint16)
 
 
-@pytest.mark.parametrize(("fixed", "temporal"), [(5.5, 0.9), (2.0, 0.9), (0.5, 4.0), (8.0, 3.0)])
+@pytest.mark.parametrize(("fixed", "temporal"), [(2.0, 0.9), (0.5, 4.0), (8.0, 3.0)])
 @pytest.mark.parametrize("frames", [4, 20])
 def test_fixed_and_temporal_noise_differ(fixed: float, temporal: float, frames: int) -> None:
     found = statistics.measure_noise(stack(fixed, temporal, frames))
@@ -63,10 +63,7 @@ def test_a_camera_s_statistics_are_those_drawn() -> None:
 def test_grey_values_are_scaled_to_255() -> None:
     light, _, _ = lattice(0.5, 0.5, 1000.0)
     frames = list(stack(8.0, 4.0, 5, light))
-    coarse, fine = (
-        statistics.measure_camera(frames, 1023.0),
-        statistics.measure_camera(frames, 4095.0),
-    )
+    coarse, fine = (statistics.measure_camera(frames, white) for white in (1023.0, 4095.0))
     dark = statistics.measure_camera(list(stack(8.0, 4.0, 5)), 1023.0)
     assert dark.fixed == pytest.approx(8.0 * 255 / 1023, rel=0.05)
     for name in ("background_p50", "fixed", "temporal"):
@@ -136,9 +133,7 @@ def record(light: F64, noise: float = 1.0, background: float = 20.0) -> U16:
     return np.clip(np.rint(grey), 0, 65535).astype(np.uint16)
 
 
-@pytest.mark.parametrize(
-    ("across", "down"), [(0.47, 0.47), (0.6, 0.45), (0.75, 0.75), (1.5, 0.8), (2.2, 2.2)]
-)
+@pytest.mark.parametrize(("across", "down"), [(0.47, 0.47), (0.6, 0.45), (1.5, 0.8), (2.2, 2.2)])
 def test_widths_fluxes_and_positions_are_those_drawn(across: float, down: float) -> None:
     light, nodes, amount = lattice(across, down, 4000.0 * max(1.0, across * down))
     found = statistics.fit_particle_images(record(light), WHITE)
@@ -149,12 +144,6 @@ def test_widths_fluxes_and_positions_are_those_drawn(across: float, down: float)
     order = np.lexsort((found.pixel[:, 0], np.rint(found.pixel[:, 1] / PITCH)))
     assert np.abs(found.pixel[order] - nodes).max() < 0.06
     assert found.flux[order] == pytest.approx(amount, rel=0.06)
-
-
-def test_spread_of_brightness_is_found() -> None:
-    light, _, amount = lattice(0.5, 0.5, 8000.0, spread=0.6)
-    found = statistics.fit_particle_images(record(light), WHITE)
-    assert np.std(np.log(found.flux)) == pytest.approx(np.std(np.log(amount)), abs=0.01)
 
 
 def test_hot_pixels_and_saturated_peaks_are_no_particle_images() -> None:

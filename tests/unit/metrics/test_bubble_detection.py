@@ -20,6 +20,7 @@ from sabench.metrics.bubble_detection import (
 from sabench.metrics.plunging_jet import _drop, analyse
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, LN2, JetLaw
+from tests.helpers.refusals import refused
 
 
 def field(count: int = 60, seed: int = 1) -> Detections:
@@ -153,20 +154,17 @@ def test_a_place_is_dense_from_its_void_fraction_on(dense: bool) -> None:
     assert recall == 0.5 if dense else np.isnan(recall)
 
 
-def area_between(one: F64, other: F64) -> float:
-    ends = np.sort(np.concatenate([one, other]))
-    first, second = (
-        np.searchsorted(np.sort(part), ends[:-1], side="right") / len(part) for part in (one, other)
-    )
-    return float(np.sum(np.abs(first - second) * np.diff(ends)))
-
-
 @pytest.mark.parametrize("count", [40, 57])
 def test_the_distance_is_the_area_between_both_distribution_functions(count: int) -> None:
     rng = np.random.default_rng(3)
     own, true = rng.lognormal(-0.7, 0.5, count), rng.lognormal(-0.8, 0.55, 57)
     scores = size_scores(own, true)
-    assert scores["sizes_mm"] == pytest.approx(area_between(own, true), rel=1e-9)
+    ends = np.sort(np.concatenate([own, true]))
+    first, second = (
+        np.searchsorted(np.sort(part), ends[:-1], side="right") / len(part) for part in (own, true)
+    )
+    area = np.sum(np.abs(first - second) * np.diff(ends))
+    assert scores["sizes_mm"] == pytest.approx(area, rel=1e-9)
     assert scores["sizes_percent"] == pytest.approx(100.0 * scores["sizes_mm"] / true.mean())
     if count == len(true):  # mean difference of equal ranks
         ranks = np.abs(np.sort(own) - np.sort(true)).mean()
@@ -202,7 +200,7 @@ def test_intervals_hold_the_mean_of_the_distribution_as_often_as_they_say() -> N
             abs(m.mean - 20.0) <= (m.half_width or 0.0) for m in counts_per_frame(frames, edges)
         ]
     assert np.mean(held) == pytest.approx(0.95, abs=0.03)
-    with pytest.raises(ValueError, match="expected those of one frame"):
+    with refused(kind=ValueError):
         counts_per_frame([], edges)
 
 

@@ -15,8 +15,7 @@ def test_a_clear_picture_is_read_whole() -> None:
 
 
 def test_noise_is_read_as_the_normal_law_says() -> None:
-    """Two normal clouds are separated with the probability Phi(d' / 2). Their means are d'
-    apart."""
+    """Two normal clouds d' apart are separated with the probability Phi(d' / 2)."""
     from scipy.stats import norm
 
     rng = np.random.default_rng(2)

@@ -1,12 +1,9 @@
 """Peaks of volumes and curves of particles."""
 
-import itertools
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
-from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 from scipy import ndimage
 
@@ -20,8 +17,6 @@ from sabench.metrics.particle_detection import (
 )
 from sabench.utils.arrays import F32, F64, Bool
 
-NEIGHBOURS = [offset for offset in itertools.product((-1, 0, 1), repeat=3) if any(offset)]
-
 
 def gaussians(shape: tuple[int, int, int], places: F64, sigma: float) -> F32:
     """Spherical particles of peak 1 at places (x, y, z), in voxels."""
@@ -33,8 +28,7 @@ def gaussians(shape: tuple[int, int, int], places: F64, sigma: float) -> F32:
 
 
 def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
-    """Return the mean positions (x, y, z) of local maxima by a slow search. A maximum is a
-    connected set of equal voxels that reach the floor and border on lower voxels only."""
+    """Mean positions (x, y, z) of connected equal voxels that border on lower voxels only."""
     maxima = []
     for value in np.unique(volume[volume >= floor]):
         labels, count = ndimage.label(volume == value, structure=np.ones((3, 3, 3)))
@@ -46,29 +40,24 @@ def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
     return maxima
 
 
-@pytest.mark.slow
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(arrays(np.float32, (4, 5, 6), elements=st.integers(0, 4).map(float)))
-def test_plateaus_are_maxima_once_each(volume: F32) -> None:
-    found, expected = fitted_maxima(volume, 1.0), slow_maxima(volume, 1.0)
-    assert len(found) == len(expected)
-    for place in found:
-        assert min(np.abs(place - other).max() for other in expected) <= 0.5
+@pytest.mark.parametrize("levels", [1, 2, 4])
+def test_plateaus_are_maxima_once_each(levels: int) -> None:
+    for seed in range(20):
+        volume = np.random.default_rng(seed).integers(0, levels + 1, (4, 5, 6)).astype(np.float32)
+        found, expected = fitted_maxima(volume, 1.0), slow_maxima(volume, 1.0)
+        assert len(found) == len(expected)
+        for place in found:
+            assert min(np.abs(place - other).max() for other in expected) <= 0.5
 
 
-def test_maxima_agree_with_all_neighbours() -> None:
-    """Of all voxels but the faintest tenth."""
+def test_maxima_of_unequal_voxels_are_found_but_of_the_faintest_tenth() -> None:
     rng = np.random.default_rng(1)
     lit = rng.random((9, 11, 13)) < 0.4
     volume = np.where(lit, rng.exponential(size=lit.shape), 0.0).astype(np.float32)
     floor = float(np.quantile(volume[volume > 0.0], 0.1))
-    padded = np.pad(volume, 1)
-    higher = [
-        padded[1 + c : 10 + c, 1 + b : 12 + b, 1 + a : 14 + a] >= volume for c, b, a in NEIGHBOURS
-    ]
-    expected = np.argwhere((volume >= floor) & ~np.any(higher, axis=0))
+    expected = sorted(slow_maxima(volume, floor), key=lambda place: place[::-1])
     found = detect_peaks(volume)
-    assert_allclose(found[:, ::-1], expected, rtol=0, atol=0.5)
+    assert_allclose(found, expected, rtol=0, atol=0.5)
     assert len(found) > 20
 
 
@@ -105,7 +94,7 @@ def test_a_mirrored_volume_has_mirrored_peaks(axis: int) -> None:
     assert_allclose(mirrored[other], found[order], atol=1e-6)
 
 
-@pytest.mark.parametrize("offset", [-0.5, -0.2, 0.0, 0.37, 0.5])
+@pytest.mark.parametrize("offset", [-0.5, 0.0, 0.37])
 def test_three_points_of_a_gaussian_give_its_vertex(offset: float) -> None:
     a, b, c = (math.exp(-((x - offset) ** 2) / 0.9) for x in (-1.0, 0.0, 1.0))
     assert three_point(a, b, c) == pytest.approx(offset, abs=1e-12)

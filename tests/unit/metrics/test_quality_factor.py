@@ -1,13 +1,10 @@
-"""Quality factor and detection. Laws that hold for any input, cases that can be counted on paper,
-and slow counts of the same rules."""
+"""Quality factor and detection: cases counted on paper, and slow counts of the same rules."""
 
 import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
-from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage
 
@@ -18,43 +15,22 @@ from sabench.utils.arrays import F32, F64, Bool
 Rule = Callable[[F64, F64], Counts]
 Masked = Callable[[F64, F64, Bool, Bool], Counts]
 Slow = Callable[[F64, F64], list[tuple[int, int]]]
-SHAPE = (3, 4, 5)
-volumes = arrays(np.float32, SHAPE, elements=st.floats(0.0, 1000.0, width=32))
 
 
 def random_volume(seed: int) -> F32:
     return np.random.default_rng(seed).exponential(size=(6, 7, 9)).astype(np.float32)
 
 
-# Quality
-
-
-def test_quality_is_one_for_any_scale_of_the_truth() -> None:
-    volume = random_volume(1)
-    for scale in (1.0, 1e-6, 3.7, 1e6):
-        assert quality(np.float32(scale) * volume, volume) == pytest.approx(1.0, abs=1e-7)
-
-
 def test_quality_is_the_cosine_between_the_volumes() -> None:
     a, b = random_volume(5), random_volume(6)
     flat_a, flat_b = a.astype(np.float64).ravel(), b.astype(np.float64).ravel()
     expected = flat_a @ flat_b / np.linalg.norm(flat_a) / np.linalg.norm(flat_b)
-    assert quality(a, b) == pytest.approx(expected, rel=1e-12)
+    for scale in np.array([1.0, 1e-6, 1e6], np.float32):
+        assert quality(scale * a, b) == pytest.approx(expected, rel=1e-7)
+        assert quality(scale * b, b) == pytest.approx(1.0, abs=1e-7)
     assert quality(a.transpose(2, 0, 1), b.transpose(2, 0, 1)) == pytest.approx(expected, rel=1e-12)
-
-
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(volumes, volumes)
-def test_quality_falls_with_what_is_added_elsewhere(a: F32, b: F32) -> None:
-    truth, ghosts = a.copy(), b.copy()
-    truth[1:], ghosts[:1] = 0.0, 0.0
-    with_ghosts = quality(truth + ghosts, truth)
-    energy, added = (float(np.sum(v.astype(np.float64) ** 2)) for v in (truth, ghosts))
-    expected = math.sqrt(energy / (energy + added)) if energy > 0.0 else 0.0
-    assert with_ghosts == pytest.approx(expected, rel=1e-6)
-
-
-# Particles in a volume
+    assert quality(a, b) == pytest.approx(expected, rel=1e-12)
+    assert quality(0.0 * a, b) == quality(a, 0.0 * b) == 0.0
 
 
 def labelled_centroids(volume: F32) -> F64:
@@ -69,7 +45,7 @@ def labelled_centroids(volume: F32) -> F64:
     return np.stack(sums[1:], axis=1) / sums[0][:, None]
 
 
-@pytest.mark.parametrize("lit", [0.02, 0.08, 0.2, 0.6, 1.0])
+@pytest.mark.parametrize("lit", [0.02, 0.2, 1.0])
 @pytest.mark.parametrize("shape", [(9, 14, 23), (1, 20, 30), (12, 1, 30), (12, 20, 1), (1, 1, 40)])
 def test_detect_agrees_with_labels(shape: tuple[int, int, int], lit: float) -> None:
     rng = np.random.default_rng(5)
@@ -86,9 +62,6 @@ def test_detect_finds_particles_of_equal_brightness(value: float) -> None:
     assert_allclose(detect(volume), [[3.0, 2.0, 1.0]])
     volume[4, 5, 6] = value
     assert_allclose(detect(volume), [[3.0, 2.0, 1.0], [6.0, 5.0, 4.0]])
-
-
-# Counting
 
 
 def everything(points: F64) -> Bool:
@@ -111,14 +84,6 @@ TRUTH = points((10.0, 20.0, 30.0))
 
 
 @pytest.mark.parametrize("count", [thesis, challenge])
-def test_the_truth_itself_is_perfect(count: Rule) -> None:
-    truths = np.random.default_rng(1).uniform(0.0, 50.0, (80, 3))
-    counts = count(truths[np.random.default_rng(2).permutation(80)], truths)
-    figures = (counts.recall, counts.precision, counts.ghost_percent, counts.rms)
-    assert figures == (1.0, 1.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("count", [thesis, challenge])
 def test_nothing_found_and_nothing_there(count: Rule) -> None:
     nothing = np.empty((0, 3))
     assert count(nothing, TRUTH) == Counts(1, 0, 0, None)
@@ -129,19 +94,10 @@ def test_nothing_found_and_nothing_there(count: Rule) -> None:
 
 
 @pytest.mark.parametrize(
-    ("offset", "matched"),
-    [
-        ((1.5, 0.0, 0.0), 1),
-        ((0.0, -1.5, 0.0), 1),
-        ((0.9, 0.0, 1.2), 1),
-        ((0.0, 0.0, 0.0), 1),
-        ((math.nextafter(1.5, 2.0), 0.0, 0.0), 0),
-        ((1.0, 1.0, 0.6), 0),
-    ],
+    ("x", "z", "matched"), [(1.5, 0.0, 1), (0.9, 1.2, 1), (math.nextafter(1.5, 2.0), 0.0, 0)]
 )
-def test_thesis_radius_includes_its_border(
-    offset: tuple[float, float, float], matched: int
-) -> None:
+def test_thesis_radius_includes_its_border(x: float, z: float, matched: int) -> None:
+    offset = (x, 0.0, z)
     counts = thesis(points(offset), points((0.0, 0.0, 0.0)))
     assert counts.matched == matched
     assert counts.rms == (pytest.approx(math.hypot(*offset)) if matched else None)
@@ -160,15 +116,9 @@ def test_duplicates_are_ghosts(count: Rule) -> None:
     counts = count(np.vstack([TRUTH + 0.3, TRUTH - 0.1, TRUTH + 0.2, TRUTH + 9.0]), TRUTH)
     assert (counts.truths, counts.detections, counts.matched) == (1, 4, 1)
     assert counts.ghost_percent == 300.0
+    assert counts.recall == 1.0
     assert counts.precision == 0.25
     assert counts.rms == pytest.approx(0.1 * math.sqrt(3.0))  # the nearest of the three
-
-
-def test_only_the_challenge_gives_the_second_truth_to_the_second_detection() -> None:
-    truths = points((0.0, 0.0, 0.0), (0.8, 0.0, 0.0))
-    detections = points((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0))
-    assert thesis(detections, truths).matched == 1  # both lie nearest to the first truth
-    assert challenge(detections, truths).matched == 2
 
 
 @pytest.mark.parametrize("count", [count_thesis, count_challenge])
@@ -176,17 +126,15 @@ def test_a_pair_counts_where_its_truth_lies(count: Masked) -> None:
     inside, outside = points((5.0, 5.0, 5.0)), points((9.4, 5.0, 5.0))
     near_inside, near_outside = points((5.4, 5.0, 5.0)), points((9.0, 5.0, 5.0))
     yes, no = np.array([True]), np.array([False])
-    assert count(near_inside, inside, no, yes) == Counts(
-        1, 1, 1, 5.4 - 5.0
-    )  # the detection has slipped over the border
+    # the detection has slipped over the border
+    assert count(near_inside, inside, no, yes) == Counts(1, 1, 1, 5.4 - 5.0)
     assert count(near_outside, outside, yes, no) == Counts(0, 0, 0, None)
     assert count(near_outside, inside, yes, yes) == Counts(1, 1, 0, None)
     assert count(near_outside, inside, no, yes) == Counts(1, 0, 0, None)
 
 
 def slow_thesis(detections: F64, truths: F64) -> list[tuple[int, int]]:
-    """Return (detection, truth) pairs by a slow search. For each truth, the nearest of the
-    detections that lie within 1.5 voxels and have it as their nearest truth."""
+    """The nearest of those within 1.5 voxels of a truth that have it as their nearest truth."""
     pairs = []
     distance = [[math.dist(d, t) for t in truths] for d in detections]
     for j in range(len(truths)):
@@ -212,7 +160,7 @@ def slow_challenge(detections: F64, truths: F64) -> list[tuple[int, int]]:
 @pytest.mark.parametrize(
     ("count", "slow"), [(count_thesis, slow_thesis), (count_challenge, slow_challenge)]
 )
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_counts_agree_with_all_pairs(count: Masked, slow: Slow, seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = [9.0, 7.0, 5.0]  # so crowded that rules meet: a truth every two voxels
@@ -224,8 +172,7 @@ def test_counts_agree_with_all_pairs(count: Masked, slow: Slow, seed: int) -> No
     alone = set(np.flatnonzero(scored_detections)) - {i for i, _ in pairs}
     rms = math.sqrt(np.mean([math.dist(detections[i], truths[j]) ** 2 for i, j in inside]))
     assert found.rms == pytest.approx(rms, rel=1e-12)
-    assert found == Counts(
-        int(scored_truths.sum()), len(inside) + len(alone), len(inside), found.rms
-    )
+    counts = int(scored_truths.sum()), len(inside) + len(alone), len(inside)
+    assert found == Counts(*counts, found.rms)
     assert len(inside) < len(pairs)
     assert 0 < len(inside) < scored_truths.sum()

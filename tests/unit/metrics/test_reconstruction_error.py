@@ -1,5 +1,4 @@
-"""Scores beside Q that do not depend on the shape of blobs. An exact reconstruction keeps them,
-whatever its blobs look like; ghosts, lost particles and wrong intensities lower them."""
+"""Scores beside Q that do not depend on the shape of blobs."""
 
 import numpy as np
 import pytest

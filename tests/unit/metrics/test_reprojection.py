@@ -39,7 +39,7 @@ def test_light_is_found_again() -> None:
     assert np.nanmedian(np.abs(fit.shift_px)) < 1e-3
 
 
-@pytest.mark.parametrize("shift", [(0.1, 0.0), (0.0, -0.15), (0.1, 0.1)])
+@pytest.mark.parametrize("shift", [(0.1, 0.0), (0.1, -0.15)])
 def test_shifts_are_found(shift: tuple[float, float]) -> None:
     pixels, light = particles(12)
     image = image_of(pixels + np.array(shift), light)

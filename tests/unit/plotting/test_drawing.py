@@ -1,5 +1,4 @@
-"""Charts. Every curve and histogram is drawn at its position, and equal charts are equal
-pictures."""
+"""Charts: every curve and histogram is drawn at its position."""
 
 import cv2
 import numpy as np
@@ -13,9 +12,8 @@ _BLUE, _ORANGE = (0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)  # as OpenCV orders them
 
 def picture(*content: Curve | Histogram, log: str = "", panels: int = 1) -> npt.NDArray[np.uint8]:
     png = draw(Figure("f", "a figure", (Panel("a panel", "x", "y", content, log),) * panels))
-    return np.asarray(
-        cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8
-    )
+    shown = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR)
+    return np.asarray(shown, dtype=np.uint8)
 
 
 def where(image: npt.NDArray[np.uint8], colour: tuple[int, int, int]) -> npt.NDArray[np.int64]:

@@ -15,17 +15,11 @@ from sabench.dataset.cameras import read_cameras
 from sabench.geometry.lens import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.focusing import nominal_cameras
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 
-OWN = {
-    "camera": "camera_02",
-    "focal_length_mm": 60.0,
-    "f_number": 8.0,
-    "distortion": {"k1": -0.3, "p2": 0.01},
-    "principal_point_px": [150.25, 128.5],
-    "pixel_mm": 0.015,
-    "tilt_deg": [4.0, -6.0],
-}
+OWN: dict[str, Any] = {"camera": "camera_02", "focal_length_mm": 60.0, "f_number": 8.0}
+OWN |= {"distortion": {"k1": -0.3, "p2": 0.01}, "principal_point_px": [150.25, 128.5]}
+OWN |= {"pixel_mm": 0.015, "tilt_deg": [4.0, -6.0]}
 
 
 def scene_with(*each: dict[str, Any], **tables: Any) -> Scene:
@@ -53,20 +47,20 @@ def test_one_camera_has_the_lens_and_the_sensor_of_its_own_table() -> None:
 
 
 @pytest.mark.parametrize(
-    ("each", "expected"),
+    ("each", "key"),
     [
-        ([OWN | {"camera": "camera_04"}], "each.0.camera: expected camera_00 to camera_03"),
-        ([OWN, {"camera": "camera_02"}], "each.1.camera: expected every camera once"),
-        ([OWN | {"tilt_deg": [90.0, 0.0]}], "each.0.tilt_deg.0: .*less than 90"),
+        ([OWN | {"camera": "camera_04"}], "each.0.camera"),
+        ([OWN, {"camera": "camera_02"}], "each.1.camera"),
+        ([OWN | {"tilt_deg": [90.0, 0.0]}], "each.0.tilt_deg.0"),
         ([OWN | {"tilt_deg": [5.0]}], "each.0.tilt_deg"),
-        ([OWN | {"pixel_mm": 0.0}], "each.0.pixel_mm: .*greater than 0"),
+        ([OWN | {"pixel_mm": 0.0}], "each.0.pixel_mm"),
         ([OWN | {"rows": 100}], "each.0.rows"),
         ([{"f_number": 8.0}], "each.0.camera"),
-        ([OWN | {"focus_mm": 55.0}], "focus_mm: camera_02: expected more than the focal length"),
+        ([OWN | {"focus_mm": 55.0}], "focus_mm: camera_02"),
     ],
 )
-def test_what_cannot_be_is_refused(each: list[dict[str, Any]], expected: str) -> None:
-    with pytest.raises(InputError, match=f"^test: cameras.{expected}") as caught:
+def test_what_cannot_be_is_refused(each: list[dict[str, Any]], key: str) -> None:
+    with refused(f"test: cameras.{key}") as caught:
         build_rig(scene_with(*each), "test")
     assert "\n" not in str(caught.value)
 
@@ -79,18 +73,17 @@ def test_data_sets_keep_the_tilt(tmp_path: Path) -> None:
     assert [("tilt_deg" in camera) for camera in values["cameras"]] == [False, False, True, False]
     values["cameras"][2]["tilt_deg"] = [0.0, 95.0]
     path.write_text(json.dumps(values), encoding="utf-8")
-    with pytest.raises(InputError, match=r"cameras.json: cameras.2.tilt_deg.1: .*less than 90"):
+    with refused("cameras.json: cameras.2.tilt_deg.1"):
         read_cameras(made.root)
 
 
 def test_nominal_tilts_are_off_by_the_scene_s_error() -> None:
-    scene = scene_with(
-        OWN, calibration={"tilt_deg": 0.5, "unknown": ["tilt", "principal_point", "k1"]}
-    )
+    unknown = ("tilt", "principal_point", "k1")
+    scene = scene_with(OWN, calibration={"tilt_deg": 0.5, "unknown": list(unknown)})
     true = build_rig(scene).cameras
     many = [nominal_cameras(scene, true, seed)[2] for seed in range(300)]
     errors = np.array([camera.tilt_deg for camera in many]) - true[2].tilt_deg
-    assert scene.unknown == ("tilt", "principal_point", "k1")
+    assert scene.unknown == unknown
     assert_allclose(errors.std(axis=0), 0.5, rtol=0.15)
     assert_allclose(errors.mean(axis=0), 0.0, atol=0.12)
     assert all(camera.distortion == Distortion(p2=0.01) for camera in many)
@@ -113,10 +106,8 @@ def test_a_plane_in_focus_has_the_tilt_of_the_hinge_rule(
 ) -> None:
     """The formula of docs/physics/imaging.md, in the lens's frame."""
     values = scene_with().to_dict()
-    values["cameras"] |= {
-        "focus_normal": normal,
-        "each": [{"camera": "camera_03", "tilt_deg": [1.0, 2.0]}],
-    }
+    each = [{"camera": "camera_03", "tilt_deg": [1.0, 2.0]}]
+    values["cameras"] |= {"focus_normal": normal, "each": each}
     del values["wall"]
     cameras = build_rig(parse_scene(values, "test")).cameras
     assert cameras[3].tilt_deg == (1.0, 2.0)
@@ -125,5 +116,4 @@ def test_a_plane_in_focus_has_the_tilt_of_the_hinge_rule(
         enlarged = camera.principal_distance_mm / camera.focus_mm
         about_x = np.arctan(y / z * enlarged)
         about_y = np.arctan(-np.cos(about_x) * x / z * enlarged)
-        exact = np.rad2deg([about_x, about_y])
-        assert_allclose(camera.tilt_deg, exact, rtol=0, atol=2e-3)
+        assert_allclose(camera.tilt_deg, np.rad2deg([about_x, about_y]), rtol=0, atol=2e-3)

@@ -1,6 +1,5 @@
 """A scene says what it means, or one sentence says what it does not."""
 
-import json
 import pickle
 import re
 import tomllib
@@ -24,6 +23,7 @@ from sabench.scenes.loading import find
 from sabench.scenes.sensor import Sensor
 from sabench.simulation.in_memory import make_particles
 from sabench.utils.errors import InputError
+from tests.helpers.refusals import check_sentence, refused
 
 
 def change(text: str, old: str, new: str) -> str:
@@ -32,42 +32,34 @@ def change(text: str, old: str, new: str) -> str:
 
 
 FAULTS = [
-    ("focal_length_mm", "focal_lenght_mm", "cameras.focal_lenght_mm: unknown key; did you mean"),
-    ("thickness_mm = 5.0 }", "thickness_cm = 0.5 }", "wall.layers.0.thickness_cm: unknown key"),
-    ("[sensor]", "[sensr]", "sensr: unknown key; did you mean sensor?"),
-    ("spacing_mm = [240.0", "spacing_m = [0.24", "cameras.layout.spacing_m: unknown key"),
-    ("count = 300", "per_mm = 3.0", "particles.per_mm: unknown key; did you mean per_mm3?"),
-    ("count = 300", "count = 300\nper_mm3 = 1.0", "expected exactly one of count, per_mm3"),
-    ('"uniform"', '"unifrom"', "did you mean uniform?"),
+    ("thickness_mm = 5.0 }", "thickness_cm = 0.5 }", "wall.layers.0.thickness_cm"),
+    ("spacing_mm = [240.0", "spacing_m = [0.24", "cameras.layout.spacing_m"),
+    ("count = 300", "count = 300\nper_mm3 = 1.0", "count, per_mm3"),
+    ('"uniform"', '"unifrom"', "unifrom"),
     ('kind = "grid"', 'kind = "gird"', "cameras.layout"),
     ("rows = 240", "rows = 2.5", "cameras.rows"),
-    ("rows = 240", "rows = -240", "cameras.rows"),
     ("index = 1.52", "index = 0.5", "wall.layers.0.index"),
     ("pixel_mm = 0.01", "pixel_mm = nan", "cameras.pixel_mm"),
     ("bit_depth = 12", "bit_depth = 17", "sensor.bit_depth"),
-    ("normal = [0.0, 0.0, 1.0]\nair", "normal = [0.0, 0.0, 0.0]\nair", "wall.normal: expected a"),
-    ("center_mm = [0.0, 0.0, -490.0]", "x_axis = [0.0, 0.0, 0.0]", "cameras.x_axis: expected a"),
-    ("direction = [1.0, 0.0, 0.0]", "direction = [0.0, 0.0, 1.0]", "right angles"),
+    ("normal = [0.0, 0.0, 1.0]\nair", "normal = [0.0, 0.0, 0.0]\nair", "wall.normal"),
+    ("center_mm = [0.0, 0.0, -490.0]", "x_axis = [0.0, 0.0, 0.0]", "cameras.x_axis"),
+    ("direction = [1.0, 0.0, 0.0]", "direction = [0.0, 0.0, 1.0]", "illumination"),
     ("-490.0]", "10.0]", "camera_00"),
-    ("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 104.0]", "back wall"),
-    ("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 5.0]", "inner face"),
-    ("= 85.0", "= 85.0\naim_mm = [400.0, 0.0, 30.0]", "no camera of 4 sees any of it"),
+    ("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 104.0]", "volume"),
+    ("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 5.0]", "volume"),
+    ("= 85.0", "= 85.0\naim_mm = [400.0, 0.0, 30.0]", "4"),
     ("f_number = 16.0", "f_number = 16.0\nfocus_mm = 50.0", "focus_mm"),
     ("crop_mm = [0.5", "crop_mm = [7.0", "crop_mm"),
-    ("title =", "title", "expected a TOML file"),
+    ("title =", "title", ""),
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "sentence"), FAULTS)
-def test_fault_names_key_and_expectation(
-    tmp_path: Path, quick_toml: str, old: str, new: str, sentence: str
-) -> None:
+@pytest.mark.parametrize(("old", "new", "key"), FAULTS)
+def test_a_fault_is_named(tmp_path: Path, quick_toml: str, old: str, new: str, key: str) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(change(quick_toml, old, new))
-    with pytest.raises(InputError) as caught:
+    with refused(str(file), key):
         load_scene(file)
-    assert sentence in str(caught.value)
-    assert str(file) in str(caught.value)
 
 
 def test_all_faults_are_named_together(tmp_path: Path, quick_toml: str) -> None:
@@ -76,10 +68,9 @@ def test_all_faults_are_named_together(tmp_path: Path, quick_toml: str) -> None:
     text = change(text, "focal_length_mm", "focal_lenght_mm")
     text = change(text, "read_noise_e = ", "read_noise_e = -")
     file.write_text(change(text, "count = 300", "per_mm = 3.0"))
-    with pytest.raises(InputError) as caught:
+    with refused(str(file), "4") as caught:
         load_scene(file)
-    head, *lines = str(caught.value).split("\n")
-    assert head == f"{file}: 4 faults:"
+    lines = str(caught.value).split("\n")[1:]
     keys = ["cameras.focal_lenght_mm", "illumination", "particles.per_mm", "sensor.read_noise_e"]
     assert sorted(line.strip().split(":")[0] for line in lines) == keys
     again = pickle.loads(pickle.dumps(caught.value))
@@ -92,28 +83,25 @@ def test_faults_of_the_geometry_are_named_together() -> None:
     values["cameras"]["focus_mm"] = 50.0
     values["occluders"] = [{"center_mm": [0.0, 0.0, 1.0], "radius_mm": 1.0}]
     scene = parse_scene(values, "bad")
-    with pytest.raises(InputError) as caught:
+    with refused("camera_00", "3") as caught:
         build_rig(scene, "bad")
     keys = [fault.split(":")[0] for fault in caught.value.faults]
     assert keys == ["grid.crop_mm", "cameras.focus_mm"]
-    assert "camera_00" in caught.value.faults[1]
-    assert "(and 3 more cameras)" in caught.value.faults[1]
 
 
 def test_long_lists_of_faults_are_cut() -> None:
     error = InputError.from_faults("file", [f"key {number}: bad\nline" for number in range(30)])
-    head, *lines = str(error).split("\n")
-    assert head == "file: 30 faults:"
-    assert lines[0] == "  key 0: bad line"
-    assert lines[20:] == ["  and 10 more"]
+    lines = str(error).split("\n")
+    assert (len(lines), lines[1]) == (22, "  key 0: bad line")
+    check_sentence(str(error), "file", "30", "10")
 
 
 def test_a_misspelt_table_counts_as_given() -> None:
     values = load_scene("quick").to_dict()
     values["particels"] = values.pop("particles")
-    with pytest.raises(InputError) as caught:
+    with refused("s: particels") as caught:
         parse_scene(values, "s")
-    assert str(caught.value) == "s: particels: unknown key; did you mean particles?"
+    assert len(caught.value.faults) == 1
 
 
 WORLDS = {
@@ -130,7 +118,7 @@ def test_a_scene_has_one_world(name: str) -> None:
     assert isinstance(scene.world, WORLDS[name])
     assert (scene.world.tracers is None) == (scene.particles is None)
     if scene.world.tracers is None:
-        with pytest.raises(InputError, match="particles: expected a scene with particles"):
+        with refused("particles"):
             _ = scene.particle_world
     else:
         assert scene.particle_world.illumination == scene.illumination
@@ -138,7 +126,7 @@ def test_a_scene_has_one_world(name: str) -> None:
 
 
 def test_missing_scene_suggests_the_nearest() -> None:
-    with pytest.raises(InputError, match="did you mean quick"):
+    with refused("quick"):
         load_scene("quik")
 
 
@@ -157,12 +145,7 @@ def test_what_a_scene_does_not_have_is_not_in_its_hash() -> None:
     both = parse_scene(values | {"occluders": [disc], "calibration": {}}, "s").to_dict()
     assert both["occluders"] == [disc | {"normal": [0.0, 0.0, 1.0]}]
     assert both["calibration"]["shift_px"] == 0.0
-
-
-def test_hash_depends_on_every_value() -> None:
-    values = load_scene("quick").to_dict()
-    changed = json.loads(json.dumps(values))
-    changed["sensor"]["read_noise_e"] = 6.5
+    changed = values | {"sensor": values["sensor"] | {"read_noise_e": 6.5}}
     assert parse_scene(values, "a").hash != parse_scene(changed, "b").hash
 
 
@@ -191,9 +174,8 @@ def test_particles_of_a_frame_do_not_depend_on_other_frames_or_cameras() -> None
         a, b = make_particles(one, 5, frame), make_particles(other, 5, frame)
         assert_array_equal(a.position_mm, b.position_mm)
         assert_array_equal(a.id, b.id)
-    assert not np.array_equal(
-        make_particles(one, 5, 0).position_mm, make_particles(one, 6, 0).position_mm
-    )
+    first, other_seed = (make_particles(one, seed, 0).position_mm for seed in (5, 6))
+    assert not np.array_equal(first, other_seed)
 
 
 def test_particles_move_with_their_velocity_and_stay_in_the_volume() -> None:
@@ -219,10 +201,8 @@ def test_density_per_volume_and_per_pixel(density: dict[str, float], count: floa
     assert len(make_particles(parse_scene(values, "a"), 1, 0)) == round(count)
 
 
-PLACES = [
-    {"center_mm": [9.0, 8.0, -400.0]},
-    {"center_mm": [0.0, 0.0, -500.0], "aim_mm": [1, 0, 30]},
-]
+PLACES: list[Any] = [{"center_mm": [9.0, 8.0, -400.0]}, {"center_mm": [0.0, 0.0, -500.0]}]
+PLACES[1]["aim_mm"] = [1, 0, 30]
 
 
 @pytest.mark.parametrize(
@@ -267,16 +247,16 @@ AIRY, POLARISED = {"cameras.airy_rings": True}, {"illumination.polarisation": [0
 
 
 @pytest.mark.parametrize(
-    ("name", "changes"),
+    ("name", "changes", "key"),
     [
-        ("standard-bubbles", MIRROR),
-        ("calibration", AIRY),
-        ("quick", AIRY | {"cameras.particle_sigma_px": 0.7}),
-        ("quick", POLARISED | {"illumination.scattering": "isotropic"}),
+        ("standard-bubbles", MIRROR, "wall.mirrors"),
+        ("calibration", AIRY, "cameras.airy_rings"),
+        ("quick", AIRY | {"cameras.particle_sigma_px": 0.7}, "cameras.airy_rings"),
+        ("quick", POLARISED | {"illumination.scattering": "isotropic"}, "polarisation"),
     ],
 )
-def test_a_key_that_would_change_nothing_is_refused(name: str, changes: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=r"(mirrors|airy_rings|polarisation): expected"):
+def test_a_key_that_would_change_nothing_is_refused(name: str, changes: Any, key: str) -> None:
+    with refused(key):
         parse_scene(changed(name, changes), name, Path("scenes"))
 
 

@@ -8,8 +8,8 @@ import pytest
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.materials import fill_indices, refractive_index
 from sabench.scenes.wall import CylinderSpec, WallSpec
-from sabench.utils.errors import InputError
 from sabench.utils.validation import validate
+from tests.helpers.refusals import refused
 
 
 def quick(wall: dict[str, Any], layer: dict[str, Any], **light: Any) -> Scene:
@@ -22,8 +22,7 @@ def quick(wall: dict[str, Any], layer: dict[str, Any], **light: Any) -> Scene:
 @pytest.mark.parametrize(("nm", "glass"), [(532.0, 1.51947), (632.8, 1.51509)])
 def test_the_wall_has_the_indices_at_the_laser_s_wavelength(nm: float, glass: float) -> None:
     scene = quick({"fluid": "water", "temperature_c": 25.0}, {"material": "BK7"}, wavelength_nm=nm)
-    wall = build_rig(scene).cameras[0].wall
-    assert wall is not None
+    wall: Any = build_rig(scene).cameras[0].wall
     assert wall.fluid_index == refractive_index("water", nm, 25.0)
     assert wall.layers[0].index == pytest.approx(glass, abs=1e-5)
 
@@ -38,8 +37,7 @@ def test_a_scene_with_materials_survives_being_written() -> None:
     assert again.hash == scene.hash
     assert scene.with_frames(3).wall == scene.wall
     red = {**written, "illumination": {**written["illumination"], "wavelength_nm": 650.0}}
-    wall = parse_scene(red, "red").plane
-    assert wall is not None
+    wall: Any = parse_scene(red, "red").plane
     assert wall.fluid_index == refractive_index("water", 650.0)
 
 
@@ -60,38 +58,30 @@ def test_round_tanks_and_tanks_of_several_faces_have_materials() -> None:
 
 
 def test_the_window_of_the_laser_has_materials_too() -> None:
-    entry = {
-        "point_mm": [-60.0, 0.0, 0.0],
-        "normal": [1.0, 0.0, 0.0],
-        "layers": [{"material": "fused silica", "thickness_mm": 3.0}],
-    }
-    light = quick({"fluid": "water"}, {"material": "BK7"}, entry=entry).illumination
-    assert light is not None
-    assert light.entry is not None
+    entry: dict[str, Any] = {"point_mm": [-60.0, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}
+    entry["layers"] = [{"material": "fused silica", "thickness_mm": 3.0}]
+    light: Any = quick({"fluid": "water"}, {"material": "BK7"}, entry=entry).illumination
     assert light.entry.layers[0].index == refractive_index("fused silica", 532.0)
 
 
 @pytest.mark.parametrize(
-    ("wall", "layer", "message"),
+    ("wall", "layer", "key"),
     [
-        ({}, {"material": "BK8"}, "layers.0.material: expected a known material"),
-        ({}, {"material": "BK7", "index": 1.5}, "layers.0.material: expected it or index"),
-        ({"fluid": "water"}, {"index": 1.5}, "fluid: expected it or fluid_index, got both"),
-        ({"temperature_c": 20.0}, {"index": 1.5}, 'temperature_c: expected fluid = "water"'),
-        ({}, {}, "layers.0.index: this key is missing"),
+        ({}, {"material": "BK8"}, "layers.0.material"),
+        ({}, {"material": "BK7", "index": 1.5}, "layers.0.material"),
+        ({"fluid": "water"}, {"index": 1.5}, "fluid"),
+        ({"temperature_c": 20.0}, {"index": 1.5}, "temperature_c"),
+        ({}, {}, "layers.0.index"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(
-    wall: dict[str, Any], layer: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(InputError) as caught:
+def test_what_cannot_be_is_named(wall: dict[str, Any], layer: dict[str, Any], key: str) -> None:
+    with refused(f"test: wall.{key}"):
         quick({"fluid_index": 1.333, **wall}, layer)
-    assert str(caught.value).startswith(f"test: wall.{message}")
 
 
 def test_a_wall_outside_a_scene_needs_numbers() -> None:
     layers = [{"material": "BK7", "thickness_mm": 1.0}]
-    with pytest.raises(InputError, match=r"test: layers\.0: expected index"):
+    with refused("test: layers.0", "index"):
         validate(WallSpec, {"fluid_index": 1.333, "layers": layers}, "test")
-    with pytest.raises(InputError, match="test: expected fluid_index"):
+    with refused("test", "fluid_index"):
         validate(WallSpec, {"fluid": "water"}, "test")

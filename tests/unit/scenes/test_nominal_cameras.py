@@ -1,5 +1,4 @@
-"""Nominal cameras of solvers, which are off by a given length. Images and truth come from the true
-cameras."""
+"""Nominal cameras of solvers, which are off by a given length."""
 
 import json
 from pathlib import Path
@@ -18,10 +17,9 @@ from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, sha256
-from tests.conftest import pinholes
 from tests.helpers.particle_scenes import make_scene
+from tests.helpers.refusals import check_sentence, refused
 
 LENS = {"distortion": {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0.0}}
 
@@ -67,23 +65,10 @@ def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
         assert np.linalg.norm(ways.mean(axis=0)) < 0.3  # 100 random unit vectors: 0.1 on average
 
 
-def test_a_solver_gets_the_wrong_cameras_and_nothing_else_changes() -> None:
-    shots = [simulate(shifted_scene(shift), seed=5) for shift in (0.0, 2.0)]
-    exact, off = (shot.observation for shot in shots)
-    true = build_rig(shifted_scene(2.0)).cameras
-    assert exact.cameras == true
-    assert_allclose(np.linalg.norm(moves(pinholes(off.cameras), true), axis=2), 2.0)
-    assert_array_equal(exact.images, off.images)
-    for mine, theirs in zip(shots[0].views, shots[1].views, strict=True):
-        assert_array_equal(mine.pixel, theirs.pixel)
-        assert_array_equal(mine.photons, theirs.photons)
-
-
 @pytest.fixture
 def wrong(tmp_path: Path) -> Dataset:
-    return sabench.generate(
-        shifted_scene(1.5), tmp_path / "wrong", seed=9, backend="splat", name="s"
-    )
+    scene = shifted_scene(1.5)
+    return sabench.generate(scene, tmp_path / "wrong", seed=9, backend="splat", name="s")
 
 
 def test_a_data_set_keeps_nominal_and_true_cameras(wrong: Dataset, tmp_path: Path) -> None:
@@ -119,14 +104,13 @@ def test_true_cameras_must_match_the_nominal_ones(wrong: Dataset) -> None:
     cameras[1]["name"] = "camera_77"
     broken = rewrite(wrong, "true_cameras.json", {"cameras": cameras})
     (fault,) = verify(broken.root)
-    assert "true_cameras.json: cameras: expected names and image sizes" in fault
-    assert "camera_77" in fault
+    check_sentence(fault, "true_cameras.json: cameras", "camera_77")
     (broken.root / "true_cameras.json").unlink()
-    with pytest.raises(InputError, match=r"true_cameras.json: expected a JSON file"):
+    with refused("true_cameras.json"):
         _ = open_dataset(broken.root).true_cameras
 
 
 @pytest.mark.parametrize("shift", [-0.1, float("nan"), "much"])
 def test_a_shift_is_a_length(shift: Any) -> None:
-    with pytest.raises(InputError, match=r"^test: calibration.shift_px: expected a"):
+    with refused("test: calibration.shift_px"):
         shifted_scene(shift)

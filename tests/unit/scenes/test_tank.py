@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.refraction import Wall
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene, scene_schema
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 
 Change = Callable[[dict[str, Any]], None]
 CYLINDER, FACES = "cylinder-tank", "two-faces"
@@ -24,35 +23,23 @@ def values_of(name: str) -> dict[str, Any]:
     return tomllib.loads(find(name, "scenes").read_text(encoding="utf-8"))
 
 
+def put(table: str, **keys: Any) -> Change:
+    return lambda values: values[table].update(keys)
+
+
 def place(*centers: list[float], **lens: float) -> Change:
     """Put the cameras elsewhere, with another lens or sensor."""
-
-    def change(values: dict[str, Any]) -> None:
-        places = [{"center_mm": center} for center in centers]
-        values["cameras"] |= {"layout": {"kind": "list", "places": places}, **lens}
-
-    return change
-
-
-def put(table: str, **keys: Any) -> Change:
-    def change(values: dict[str, Any]) -> None:
-        values[table] |= keys
-
-    return change
+    places = [{"center_mm": center} for center in centers]
+    return put("cameras", layout={"kind": "list", "places": places}, **lens)
 
 
 def hide(z_mm: float) -> Change:
-    def change(values: dict[str, Any]) -> None:
-        values["occluders"] = [{"center_mm": [0.0, 0.0, z_mm], "radius_mm": 3.0}]
-
-    return change
+    disc = {"center_mm": [0.0, 0.0, z_mm], "radius_mm": 3.0}
+    return lambda values: values.update({"occluders": [disc]})
 
 
 def change_face(**keys: Any) -> Change:
-    def change(values: dict[str, Any]) -> None:
-        values["wall"][1] |= keys
-
-    return change
+    return lambda values: values["wall"][1].update(keys)
 
 
 def add_backlight(values: dict[str, Any]) -> None:
@@ -62,28 +49,29 @@ def add_backlight(values: dict[str, Any]) -> None:
 
 
 FAULTS: list[tuple[str, Change, str]] = [
-    (CYLINDER, put("volume", center_mm=[30.0, 0.0, 0.0]), "volume: .* radius 35 mm, .* 37.05 mm"),
-    (CYLINDER, place([0.0, 0.0, -37.0]), "cameras: camera_00 .* in the wall or the tank"),
-    (CYLINDER, put("wall", layers=THICK), "wall.layers: .* outer_radius_mm = 40 together"),
-    (CYLINDER, put("wall", shape="round"), "wall.shape: expected 'cylinder', got 'round'"),
-    (CYLINDER, put("wall", outer_radius=40.0), "wall.outer_radius: unknown key; did you mean"),
-    (CYLINDER, add_backlight, "wall: expected one plane wall for bubbles and bodies, got a cyl"),
-    (CYLINDER, hide(-39.0), "occluders.0: .* reaches 1 mm behind the wall's outer face"),
-    (FACES, place([-60.0, 0.0, -500.0], **WIDE), "cameras: camera_00 .* two, wall.0 and wall.1"),
-    (FACES, place([0.0, 0.0, 20.0]), "cameras: camera_00 .* in the wall or the tank"),
-    (FACES, change_face(fluid_index=1.4), "wall.1.fluid_index: expected 1.333 as behind the first"),
-    (FACES, change_face(mirrors=True), "wall.1.mirrors: expected none"),
-    (FACES, change_face(shape="cylinder"), "wall.1.shape: expected 'plane', got 'cylinder'"),
-    (FACES, add_backlight, "wall: expected one plane wall for bubbles and bodies, got 2 walls"),
-    (FACES, hide(20.0), "occluders.0: .* reaches 16.26 mm behind the wall's outer face"),
+    (CYLINDER, put("volume", center_mm=[30.0, 0.0, 0.0]), "volume: |35 mm|37.05 mm"),
+    (CYLINDER, place([0.0, 0.0, -37.0]), "cameras: camera_00"),
+    (CYLINDER, put("wall", layers=THICK), "wall.layers: |outer_radius_mm"),
+    (CYLINDER, put("wall", shape="round"), "wall.shape: |'round'"),
+    (CYLINDER, put("wall", outer_radius=40.0), "wall.outer_radius: "),
+    (CYLINDER, add_backlight, "wall: "),
+    (CYLINDER, hide(-39.0), "occluders.0: |1 mm"),
+    (FACES, place([-60.0, 0.0, -500.0], **WIDE), "cameras: camera_00|wall.0 and wall.1"),
+    (FACES, place([0.0, 0.0, 20.0]), "cameras: camera_00"),
+    (FACES, change_face(fluid_index=1.4), "wall.1.fluid_index: |1.333"),
+    (FACES, change_face(mirrors=True), "wall.1.mirrors: "),
+    (FACES, change_face(shape="cylinder"), "wall.1.shape: |'cylinder'"),
+    (FACES, add_backlight, "wall: |2"),
+    (FACES, hide(20.0), "occluders.0: |16.26 mm"),
 ]
 
 
-@pytest.mark.parametrize(("name", "change", "sentence"), FAULTS)
-def test_what_cannot_be_is_one_sentence(name: str, change: Change, sentence: str) -> None:
+@pytest.mark.parametrize(("name", "change", "keys"), FAULTS)
+def test_what_cannot_be_is_named(name: str, change: Change, keys: str) -> None:
     values = values_of(name)
     change(values)
-    with pytest.raises(InputError, match=f"^scene: {sentence}"):
+    first, *more = keys.split("|")
+    with refused(f"scene: {first}", *more):
         build_rig(parse_scene(values, "scene"))
 
 
@@ -146,10 +134,8 @@ def test_the_schema_knows_all_walls() -> None:
 
 
 def test_the_cylinder_and_the_free_surface_of_a_scene() -> None:
-    wall = build_rig(load_scene("cylinder-tank")).cameras[0].wall
-    assert isinstance(wall, CylinderWall)
+    wall: Any = build_rig(load_scene("cylinder-tank")).cameras[0].wall
     assert wall.radii_mm.tolist() == [40.0, 35.0]
     assert wall.indices.tolist() == [1.0, 1.52, 1.333]
-    surface = build_rig(load_scene("free-surface")).cameras[0].wall
-    assert isinstance(surface, Wall)
+    surface: Any = build_rig(load_scene("free-surface")).cameras[0].wall
     assert surface.indices.tolist() == [1.0, 1.333]

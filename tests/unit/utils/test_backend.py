@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sabench.utils import backend
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import check_sentence, refused
 
 CHOICE = "from sabench.utils import backend; print(backend.choose().library)"
 
@@ -34,14 +34,14 @@ def test_a_library_that_is_no_llvm_is_refused() -> None:
     other = ctypes.util.find_library("z") or ctypes.util.find_library("m")
     assert other
     errors = choose(SABENCH_BACKEND="llvm", DRJIT_LIBLLVM_PATH=other)
-    for words in ("refused", other, backend.REMEDY):
-        assert words in errors
+    for key in (other, backend.REMEDY):
+        assert key in errors
 
 
 def test_a_library_that_is_not_there_is_not_replaced_by_another(tmp_path: Path) -> None:
     """The user wants the library that he names: a silent fallback would hide the mistake."""
     errors = choose(SABENCH_BACKEND="llvm", DRJIT_LIBLLVM_PATH=str(tmp_path / "none.so"))
-    assert "cannot be loaded" in errors
+    assert "none.so" in errors
 
 
 def test_candidates_put_the_wheel_before_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,9 +54,7 @@ def test_candidates_put_the_wheel_before_the_system(monkeypatch: pytest.MonkeyPa
     ]
 
 
-def test_a_broken_wheel_is_replaced_by_the_system(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_broken_wheel_is_replaced_by_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(backend.LLVM_VARIABLE, raising=False)
     both = [("the wheel", "/wheel/libLLVM.so"), ("the system", "/usr/lib/libLLVM-21.so")]
     monkeypatch.setattr(backend, "_llvm_candidates", lambda: both)
@@ -73,18 +71,17 @@ def test_what_the_wheel_lacks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(ctypes, "CDLL", fail)
     monkeypatch.setattr(backend, "_llvm_candidates", lambda: [("the wheel", "/w/libLLVM.so")])
-    with pytest.raises(InputError, match=f"{reason}, which the package libatomic1 has"):
+    with refused(reason, "libatomic1"):
         backend._choose_llvm()
 
 
 def test_an_old_system_library_is_refused_by_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        backend, "_llvm_candidates", lambda: [("the system", "/usr/lib/libLLVM-16.so")]
-    )
+    old = [("the system", "/usr/lib/libLLVM-16.so")]
+    monkeypatch.setattr(backend, "_llvm_candidates", lambda: old)
     monkeypatch.setattr(backend, "llvm_version", lambda path: 16)
-    with pytest.raises(InputError, match="LLVM 16"):
+    with refused("LLVM 16"):
         backend._choose_llvm()
 
 
 def test_unknown_choice_is_refused() -> None:
-    assert "expected auto, cuda or llvm" in choose(SABENCH_BACKEND="metal")
+    check_sentence(choose(SABENCH_BACKEND="metal").splitlines()[-1], "SABENCH_BACKEND", "metal")

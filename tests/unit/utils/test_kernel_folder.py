@@ -16,27 +16,21 @@ from sabench.utils.compiled import numba
 from sabench.utils.kernel_folder import hash_sources
 
 UTILS = ("compiled.py", "kernel_folder.py", "version.py")
-CALLEE = '''"""Callee."""
-
+CALLEE = """
 from sabench.utils.compiled import numba
 
-
 @numba.njit(cache=True)
-def callee() -> int:
-    """Return a number."""
+def callee():
     return {number}
-'''
-CALLER = '''"""Caller."""
-
+"""
+CALLER = """
 from sabench.callee import callee
 from sabench.utils.compiled import numba
 
-
 @numba.njit(cache=True)
-def caller() -> int:
-    """Call the other one."""
+def caller():
     return 10 * callee()
-'''
+"""
 
 
 def write_package(folder: Path) -> Path:
@@ -55,14 +49,13 @@ def write_package(folder: Path) -> Path:
 @pytest.mark.slow
 def test_a_changed_callee_in_another_file_is_not_overlooked(tmp_path: Path) -> None:
     own = write_package(tmp_path)
-    environment = os.environ | {
-        "PYTHONPATH": str(tmp_path),
-        "NUMBA_CACHE_DIR": str(tmp_path / "kernels"),
-    }
+    own_folders = {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     for number in (1, 2):
         (own / "callee.py").write_text(CALLEE.format(number=number))
         words = [sys.executable, "-c", "from sabench.caller import caller; print(caller())"]
-        done = subprocess.run(words, env=environment, cwd=tmp_path, capture_output=True, check=True)
+        done = subprocess.run(
+            words, env=os.environ | own_folders, cwd=tmp_path, capture_output=True, check=True
+        )
         assert int(done.stdout) == 10 * number
     assert len(list((tmp_path / "kernels").rglob("caller.caller-*.nbc"))) == 2
 

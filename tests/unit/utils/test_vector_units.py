@@ -33,24 +33,18 @@ ALL_PLAIN, ALL_SHAPED = (
 )
 
 
-@numba.njit
-def _match(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return vector_units.match_window(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+def _at_the_window(kernel: Any) -> Any:
+    @numba.njit
+    def run(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
+        return kernel(left, weight, profiles, CAMERA, TOP, START, rows, LIGHT)
+
+    return run
 
 
-@numba.njit
-def _match_shaped(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return vector_units.match_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
-
-
-@numba.njit
-def _sum(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return vector_units.sum_window(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
-
-
-@numba.njit
-def _sum_shaped(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return vector_units.sum_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+_match, _match_shaped, _sum, _sum_shaped = (
+    _at_the_window(getattr(vector_units, name))
+    for name in ("match_window", "match_shaped", "sum_window", "sum_shaped")
+)
 
 
 @pytest.fixture(params=[5, 7, 11])

@@ -1,5 +1,4 @@
-"""Particles from frame to frame. Moved exactly, replaced where they leave, and seen when the laser
-flashes."""
+"""Particles from frame to frame: moved, replaced where they leave, and lit by pulses."""
 
 import itertools
 from pathlib import Path
@@ -14,10 +13,10 @@ from scipy.stats import kstest, lognorm, norm
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import make_particles, simulate
 from sabench.simulation.pipeline import generate
-from sabench.utils.errors import InputError
 from sabench.worlds.advection import advect
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
-from sabench.worlds.tracers import Motion, flow_of, material_numbers, pulse
+from sabench.worlds.tracers import Motion, material_numbers, pulse, require_flow
+from tests.helpers.refusals import refused
 
 ABC = {"generator": "abc_flow", "wavelength_mm": 12.0}
 WIND = {"generator": "linear_flow", "velocity_mm_s": [40.0, -20.0, 10.0]}
@@ -36,14 +35,12 @@ def moving_scene(**changes: Any) -> Scene:
 def test_particles_follow_the_flow_and_keep_their_ids() -> None:
     scene = moving_scene()
     frames = [make_particles(scene, 3, frame) for frame in range(3)]
-    flow = flow_of(scene)
-    assert flow is not None
+    flow = require_flow(scene)
     for frame, (before, after) in enumerate(itertools.pairwise(frames)):
         _, first, second = np.intersect1d(before.id, after.id, return_indices=True)
         assert 0.5 * len(before) < len(first) < len(before)
-        carried = advect(
-            flow, before.position_mm[first], scene.time_s(frame), scene.time_s(frame + 1), 1e-9
-        )
+        times = scene.time_s(frame), scene.time_s(frame + 1)
+        carried = advect(flow, before.position_mm[first], *times, 1e-9)
         assert_allclose(after.position_mm[second], carried, atol=1e-6)
         assert_allclose(after.velocity_mm_s, flow.velocity(after.position_mm, 0.0))
         assert_array_equal(after.diameter_mm[second], before.diameter_mm[first])
@@ -75,7 +72,7 @@ def test_the_density_stays_even(flow: dict[str, Any]) -> None:
 
 def test_a_flow_carries_only_what_rests() -> None:
     scene = moving_scene(particles={"velocity_mm_s": [1.0, 0.0, 0.0]})
-    with pytest.raises(InputError, match="expected some that rest, for the flow to carry them"):
+    with refused():
         make_particles(scene, 1, 0)
 
 
@@ -87,15 +84,15 @@ def test_double_frames_and_four_pulses() -> None:
 
 
 @pytest.mark.parametrize(
-    ("timing", "sentence"),
+    ("timing", "key"),
     [
-        ({"pulses_s": [0.0, 0.2]}, "pulses_s: expected a group shorter than 1 / rate_hz = 0.1 s"),
-        ({"pulses_s": [0.002, 0.0]}, "pulses_s: expected rising times"),
-        ({"pulses_s": [0.0, 0.002], "energy": [1.0]}, "energy: expected one value for each of 2"),
+        ({"pulses_s": [0.0, 0.2]}, "pulses_s: "),
+        ({"pulses_s": [0.002, 0.0]}, "pulses_s: "),
+        ({"pulses_s": [0.0, 0.002], "energy": [1.0]}, "energy: "),
     ],
 )
-def test_impossible_timing_is_named(timing: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(InputError, match=sentence):
+def test_impossible_timing_is_named(timing: dict[str, Any], key: str) -> None:
+    with refused(key):
         moving_scene(timing={"rate_hz": 10.0, **timing})
 
 
@@ -116,10 +113,8 @@ def test_pulses_differ() -> None:
 def test_a_sheet_beside_another_lights_other_particles() -> None:
     """Two thin sheets: what the first frame shows bright is dark in the second."""
     light = {"thickness_mm": 1.0, "profile": "top-hat"}
-    scene = moving_scene(
-        illumination=light,
-        timing={"rate_hz": 10.0, "pulses_s": [0.0, 1e-6], "shift_mm": [-0.6, 0.6]},
-    )
+    timing = {"rate_hz": 10.0, "pulses_s": [0.0, 1e-6], "shift_mm": [-0.6, 0.6]}
+    scene = moving_scene(illumination=light, timing=timing)
     frames = [simulate(scene, seed=1, frame=frame) for frame in (0, 1)]
     lit = [set(shot.particles.id[shot.views[0].photons > 0.0].tolist()) for shot in frames]
     assert len(lit[0]) > 20
@@ -142,10 +137,9 @@ def test_long_pulses_leave_streaks() -> None:
         seen = simulate(scene, seed=4).observation
         pictures.append(seen.images[0].astype(np.float64) - seen.black_dn)
     place = make_particles(moving_scene(**values), 4, 0).position_mm
-    ends = [
-        seen.cameras[0].project(place + np.array([move, 0.0, 0.0]))[0][0] for move in (-0.5, 0.5)
-    ]
-    length = float(np.linalg.norm(np.subtract(*ends)))
+    half = np.array([0.5, 0.0, 0.0])
+    ends = [seen.cameras[0].project(place + move)[0][0] for move in (half, -half)]
+    length = float(np.linalg.norm(ends[0] - ends[1]))
     assert length > 5.0
     still, moving = (_variance(picture) for picture in pictures)
     assert moving - still == pytest.approx(length**2 / 12.0, rel=0.05)
@@ -165,8 +159,7 @@ def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
     data = generate(scene, tmp_path / "data", seed=2, backend="splat")
     assert [data.setup.time_s(frame) for frame in range(2)] == [0.0, 0.002]
     assert data.scene.flow == scene.flow
-    flow = flow_of(data.scene)
-    assert flow is not None
+    flow = require_flow(data.scene)
     for frame in range(2):
         particles = data.particles(frame)
         assert_allclose(particles.velocity_mm_s, flow.velocity(particles.position_mm, 0.0))
@@ -175,8 +168,7 @@ def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
 def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
     scene = moving_scene(frames=2, flow_grid_mm=[2.0, 2.5, 1.5])
     data = generate(scene, tmp_path / "data", seed=2, backend="splat")
-    flow = flow_of(scene)
-    assert flow is not None
+    flow = require_flow(scene)
     with h5py.File(data.root / "truth.h5") as file:
         group = file["frames/0001/flow"]
         low, step, velocity, gradient = (
@@ -189,9 +181,6 @@ def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
     assert_allclose(gradient[1, 2, 6], flow.gradient(place[None], scene.time_s(1))[0])
 
 
-# Sizes and materials
-
-
 def test_diameters_lie_on_the_lattice_of_sizes_where_mie_s_series_asks_for_it() -> None:
     exact = make_particles(moving_scene(illumination={"scattering": "isotropic"}), 3, 0)
     rounded = make_particles(moving_scene(), 3, 0)
@@ -202,7 +191,7 @@ def test_diameters_lie_on_the_lattice_of_sizes_where_mie_s_series_asks_for_it() 
 @pytest.mark.parametrize("diameter_mm", [1e-7, 5.0])
 def test_diameters_beyond_mie_s_series_are_refused(diameter_mm: float) -> None:
     scene = moving_scene(particles={"diameter_mm": diameter_mm})
-    with pytest.raises(InputError, match=r"particles: expected diameters of 1\.3e-06 to 0\.51 mm"):
+    with refused("particles", "1.3e-06 to 0.51 mm"):
         make_particles(scene, 3, 0)
 
 

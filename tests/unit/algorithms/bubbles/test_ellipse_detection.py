@@ -1,5 +1,4 @@
-"""Detection of ellipses among others, in noise and in part. Also peaks of the potential, their
-groups, and the definition of one bubble."""
+"""Ellipses among others, in noise and in part; peaks of the potential and their groups."""
 
 import numpy as np
 import pytest
@@ -26,8 +25,7 @@ def drawn(
     hollow: float = 0.0,
     noise: float = 0.0,
 ) -> F32:
-    """Draw dark ellipses (column, row, semi-axes, angle). Each is bright within a part `hollow` of
-    itself. The image is blurred by half a pixel and averaged over pixels."""
+    """Dark ellipses (column, row, semi-axes, angle), blurred, bright within a part of them."""
     y, x = ((np.mgrid[: size[0] * FINE, : size[1] * FINE] + 0.5) / FINE - 0.5).astype(np.float64)
     dark: Bool = np.zeros(y.shape, dtype=np.bool_)
     for column, row, a, b, angle in shapes:
@@ -59,13 +57,9 @@ def test_edges_lie_on_the_outline_and_look_inwards() -> None:
 
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize("hollow", [0.0, 0.5])
-@pytest.mark.parametrize(
-    ("a", "b", "angle"),
-    [(9.0, 9.0, 0.0), (10.0, 6.0, 0.4), (8.0, 4.0, 2.0), (4.0, 3.0, 1.0), (3.0, 3.0, 0.0)],
-)
+@pytest.mark.parametrize(("a", "b", "angle"), [(9.0, 9.0, 0.0), (8.0, 4.0, 2.0), (3.0, 3.0, 0.0)])
 def test_an_ellipse_is_measured(a: float, b: float, angle: float, hollow: float) -> None:
-    """The bright middle of a bubble has an outline, too. Its gradients have the opposite
-    direction."""
+    """The outline of a bubble's bright middle has gradients of the opposite direction."""
     (one,) = found(drawn((28.3, 20.6, a, b, angle), hollow=hollow))
     assert_allclose(one[:2], [28.3, 20.6], atol=0.1)
     assert_allclose(one[2:4], [a, b], atol=0.25)
@@ -105,8 +99,7 @@ def test_flat_ones_are_parts_of_outlines() -> None:
 
 
 def test_small_features_that_end_in_a_region_are_thresholded() -> None:
-    """Radii are up to a pixel too large. The pixels darker than a region's mean fill more than
-    those that are at least half as dark as its darkest."""
+    """Radii are up to a pixel too large: pixels darker than a region's mean fill more."""
     dark = drawn((6.3, 5.6, 0.9, 0.9, 0.0), size=(13, 13))
     ((x, y, radius),) = find_blots(dark, 0.02, 4.5)
     assert_allclose([x, y], [6.3, 5.6], atol=0.15)
@@ -126,8 +119,7 @@ def test_peaks_are_those_over_depth() -> None:
 
 
 def test_groups_do_not_run_from_bubble_to_bubble() -> None:
-    """A stair of peaks falls into several groups. Each peak is a window and six planes from the one
-    before. The thesis's rule makes one group of them."""
+    """A stair of peaks, each a window and six planes from the one before."""
     potential = np.zeros((140, 3, 20), dtype=np.float32)
     steps = np.arange(20)
     potential[6 * steps + 5, 1, steps] = 5.0 + np.cos(steps)

@@ -31,38 +31,28 @@ def drawn(tracers: F64 = _TRACERS, noise: float = 10.0) -> tuple[Observation, Bo
     return Observation(images, rig.cameras, rig.grid, _BLACK, 4095.0), body
 
 
-def test_tracers_are_peaks_above_the_diffuser_and_before_the_body() -> None:
-    case, _ = drawn()
-    light = separate_phases(case, 24.0).tracers.images[0].astype(np.float64) - _BLACK
-    for column, row in _TRACERS.astype(int):
-        assert light[row, column] > 350.0
+def test_three_phases_are_separated() -> None:
+    """Tracers are peaks above the diffuser and before the body, which is wider than bubbles."""
+    case, body = drawn()
+    parts = separate_phases(case, 24.0)
+    light, left = (
+        part.images[0].astype(np.float64) - _BLACK for part in (parts.tracers, parts.bubbles)
+    )
     far = np.ones(light.shape, dtype=np.bool_)
     for column, row in _TRACERS.astype(int):
+        assert light[row, column] > 350.0
         far[row - 12 : row + 13, column - 12 : column + 13] = False
     assert not light[far].any()  # neither the bubble's spot nor noise is a tracer
-
-
-def test_bubbles_are_left_without_tracers_and_body() -> None:
-    case, body = drawn()
-    left = separate_phases(case, 24.0).bubbles.images[0].astype(np.float64) - _BLACK
     assert left.max() < _DIFFUSER + 60.0
     assert abs(np.median(left[body]) / _DIFFUSER - 1.0) < 0.05
     x, y = _BUBBLE.astype(int)
     assert left[y, x + 6] < 0.2 * _DIFFUSER
     assert left[y, x] > 0.8 * _DIFFUSER
-
-
-def test_body_is_what_is_dark_and_wider_than_bubbles() -> None:
-    case, body = drawn()
-    found = separate_phases(case, 24.0).body[0]
+    found = parts.body[0]
     assert (found & body).sum() / (found | body).sum() > 0.93
     assert not separate_phases(case, 90.0).body.any()
-
-
-def test_images_of_one_phase_alone_have_nothing_of_the_others() -> None:
-    case, _ = drawn(np.zeros((0, 2)))
-    parts = separate_phases(case, 24.0)
-    assert not (parts.tracers.images > _BLACK).any()
+    alone = separate_phases(drawn(np.zeros((0, 2)))[0], 24.0)
+    assert not (alone.tracers.images > _BLACK).any()
 
 
 def test_image_diameter_is_that_of_the_projection() -> None:

@@ -72,7 +72,7 @@ def test_misfit_is_least_for_the_bubble_itself() -> None:
     assert 1e-5 < moved[0] < moved[1] < moved[2]
 
 
-@pytest.mark.parametrize("off", [0.01, 0.06, 0.12, 0.5])
+@pytest.mark.parametrize("off", [0.01, 0.12, 0.5])
 def test_a_pixel_that_is_far_off_counts_less(off: float) -> None:
     """Geman and McClure's function rises to half at its width, 0.12, and ends there squared."""
     model, ellipses = model_of(), rim_fit.ellipses_of(model_of(), rim_fit.start_of(PLACE, 0.8))
@@ -84,14 +84,12 @@ def test_a_pixel_that_is_far_off_counts_less(off: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spoiled", [False, True])
-def test_a_spheroid_is_found_again(spoiled: bool) -> None:
-    """Also where another bubble hides a part of it in one camera."""
+def test_a_spheroid_is_found_again() -> None:
+    """Though another bubble hides a part of it in one camera."""
     true = np.array([*PLACE, 0.0, np.log(0.75), 0.1, -0.05])
     model = model_of(true)
-    if spoiled:
-        column, row = CAMERAS[1].project(PLACE[None])[0][0].astype(int)
-        model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
+    column, row = CAMERAS[1].project(PLACE[None])[0][0].astype(int)
+    model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
     start = true + np.array([0.15, -0.1, 0.2, 0.1, 0.05, -0.1, 0.05])
     found = rim_fit.fit(model, start, 40)
     assert_allclose(found[:3], PLACE, atol=0.03)
@@ -102,19 +100,16 @@ def test_a_spheroid_is_found_again(spoiled: bool) -> None:
 STEPS = 1e-6 * np.array([1.0, 1.0, 0.01, 0.01, 0.01])  # px, px, and 1/px^2 of the shape
 
 
-def ellipse_of(rng: np.random.Generator) -> F64:
-    long, short, angle = rng.uniform(3.0, 9.0), rng.uniform(2.0, 3.0), rng.uniform(0.0, np.pi)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    shape = turn @ np.diag([long**-2.0, short**-2.0]) @ turn.T
-    return np.array([20.3, 18.7, shape[0, 0], shape[0, 1], shape[1, 1]])
-
-
 def test_derivatives_are_those_of_differences() -> None:
     """Differences that cross from one cell of the table to the next one are left out."""
     rng, table, blur = np.random.default_rng(1), PROFILE.table, PROFILE.blur_px
     errors, largest = [], 0.0
     for _ in range(2000):
-        ellipse, (column, row) = ellipse_of(rng), rng.integers(10, 30, 2).tolist()
+        long, short, angle = rng.uniform([3.0, 2.0, 0.0], [9.0, 3.0, np.pi])
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        shape = turn @ np.diag([long**-2.0, short**-2.0]) @ turn.T
+        ellipse = np.array([20.3, 18.7, shape[0, 0], shape[0, 1], shape[1, 1]])
+        column, row = rng.integers(10, 30, 2).tolist()
         found = np.zeros(5)
         here = rim_fit.slopes_at(ellipse, column, row, 4.0, table, blur, found)
         assert here == max(rim_fit.shade_at(ellipse, column, row, 4.0, table, blur), rim_fit.DIM)

@@ -8,18 +8,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench import plugins
-from sabench.algorithms.calibration.bundle_adjustment import (
-    BoardImages,
-    normal_equations,
-)
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
 from sabench.algorithms.calibration.cramer_rao import limit
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import fit_free_motion
 from sabench.api import DeclinedError
-from sabench.geometry.rigid_motion import RigidMotion, rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.metrics.calibration_error import calibration_scores
 from sabench.scenes import Scene, load_scene, parse_scene
 from tests.helpers.calibration_cases import board_images, case_of, misses
+from tests.helpers.refusals import refused
 
 GLASS = [{"index": 1.5, "thickness_mm": 5.0}]
 FREE = FreeParameters(True, ("k1", "p1"))
@@ -87,16 +85,14 @@ def test_refractive_autocal_reaches_the_bound(kind: str) -> None:
     case, cameras, points, exact = case_of(scene_of(kind))
     solver = plugins.load("solvers", "refractive_autocal")
     answer = solver(solver.Parameters()).solve(case)
-    scores = calibration_scores(answer, case, cameras, points, exact, case.found)
-    assert scores["true_px"] is not None
-    assert scores["bound_px"] is not None
+    scores: Any = calibration_scores(answer, case, cameras, points, exact, case.found)
     assert 0.5 < scores["true_px"] / scores["bound_px"] < 1.5
     assert all(one.wall == true.wall for one, true in zip(answer.cameras, cameras, strict=True))
 
 
 def test_indices_are_unknowns_of_one_plane_wall_only() -> None:
     solver = plugins.load("solvers", "refractive_autocal")
-    with pytest.raises(DeclinedError, match=r"it needs one plane wall .*, got a cylinder"):
+    with refused("cylinder", kind=DeclinedError):
         solver(solver.Parameters(indices=(2,))).solve(case_of(scene_of("cylinder"))[0])
 
 
@@ -119,6 +115,5 @@ def test_free_motions_change_no_image(kind: str, turn: float) -> None:
     there = state.move(found)
     assert np.abs(misses(there, exact)).max() < 1e-6
     aside = frame.motion(world + np.array([0.0, 0.0, 5.0]))
-    still = fit_free_motion(frame, here, aside)
-    assert isinstance(still, RigidMotion)
+    still: Any = fit_free_motion(frame, here, aside)
     assert np.abs(still(here) - here).max() < 2.5

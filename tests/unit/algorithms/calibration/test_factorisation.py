@@ -14,49 +14,41 @@ from sabench.algorithms.calibration.factorisation import (
     upgrade_to_euclidean,
 )
 from sabench.algorithms.calibration.parameters import fit_similarity
-from sabench.algorithms.refocus import refocus_sum
-from sabench.api import Calibration, CalibrationCase
+from sabench.api import CalibrationCase
 from sabench.api.make import make_algorithm
-from sabench.geometry.grid import Grid
 from sabench.geometry.triangulation import triangulate
-from sabench.plugins import load
 from sabench.utils.arrays import F64
 from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
+from tests.helpers.refusals import check_sentence
 
 IN_AIR = {"wall": None, "detection": None, "calibration": {"points": 0.0, "known": []}}
-
-
-def points_by(answer: Calibration, exact: F64) -> F64:
-    return triangulate(answer.cameras, exact.reshape(len(exact), -1, 2))
 
 
 @pytest.mark.parametrize("wall", [False, True])
 def test_pinholes_are_found_from_exact_images_and_a_wall_spoils_it(wall: bool) -> None:
     changes = {key: value for key, value in IN_AIR.items() if key != "wall" or not wall}
     case, _, points, exact = case_of(calibration_scene(**changes))
-    plugin = load("solvers", "linear_autocal")
-    found = points_by(plugin(plugin.Parameters()).solve(case), exact)
+    solver: Any = make_algorithm("linear_autocal", {})
+    found = triangulate(solver.solve(case).cameras, exact.reshape(len(exact), -1, 2))
     off = np.abs(found - points.reshape(-1, 3)).max()
     assert off > 0.3 if wall else off < 0.01
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.2])
 def test_factors_make_the_images(missing: float) -> None:
-    case, cameras, points, exact = case_of(calibration_scene(**IN_AIR))
-    images = (exact.reshape(9, -1, 2) - np.asarray(cameras[0].principal_point_px)) / cameras[
-        0
-    ].focal_px
+    _, cameras, points, exact = case_of(calibration_scene(**IN_AIR))
+    middle, focal_px = np.asarray(cameras[0].principal_point_px), cameras[0].focal_px
+    images = (exact.reshape(9, -1, 2) - middle) / focal_px
     seen = np.random.default_rng(0).random(images.shape[:2]) >= missing
     images[~seen] = np.nan
     factors = adjust_factors(factorise(images, seen), np.nan_to_num(images), seen)
     projected = np.einsum("cij,nj->cni", factors.matrices, factors.points)
-    errors = (projected[..., :2] / projected[..., 2:] - images)[seen] * cameras[0].focal_px
+    errors = (projected[..., :2] / projected[..., 2:] - images)[seen] * focal_px
     assert np.abs(errors).max() < 1e-4
     upgraded = upgrade_to_euclidean(factors)
     positions = upgraded.points[:, :3] / upgraded.points[:, 3:]
     world = fit_similarity(positions, points.reshape(-1, 3))
     assert np.abs(positions @ world[:3, :3].T + world[:3, 3] - points.reshape(-1, 3)).max() < 0.05
-    assert case.pixels.shape == exact.shape
 
 
 LEVEL = {"tilt_deg": 0.0, "roll_deg": 0.0, "wander": 0.3}
@@ -64,11 +56,8 @@ EXACT = {"points": 0.0, "known": []}
 
 
 def level(noise_px: float = 0.0, **changes: Any) -> Any:
-    noise = {"noise_px": noise_px}
-    scene = calibration_scene(
-        targets=LEVEL, frames=7, calibration=EXACT, detection=noise, **changes
-    )
-    return case_of(scene)
+    own = {"targets": LEVEL, "frames": 7, "calibration": EXACT, "detection": {"noise_px": noise_px}}
+    return case_of(calibration_scene(**own, **changes))
 
 
 def air(noise_px: float = 0.0, **changes: Any) -> Any:
@@ -117,11 +106,9 @@ def test_exact_images_give_the_exact_cameras() -> None:
     case, cameras, points, exact = air()
     answer = solved(case)
     assert true_error_px(answer.cameras, points, exact) < 1e-4
+    other = np.random.default_rng(1).uniform([-25.0, -25.0, 10.0], [25.0, 25.0, 60.0], (50, 3))
     for made, true in zip(answer.cameras, cameras, strict=True):
         assert_allclose(made.center_mm, true.center_mm, atol=1e-3)
-    other = np.random.default_rng(1).uniform(-25.0, 25.0, (50, 3))
-    other[:, 2] += 35.0
-    for made, true in zip(answer.cameras, cameras, strict=True):
         assert_allclose(made.project(other)[0], true.project(other)[0], atol=1e-3)
 
 
@@ -133,29 +120,21 @@ def test_nothing_of_the_nominal_cameras_is_used() -> None:
     assert solved(replace(case, cameras=turned)).cameras == solved(case).cameras
 
 
-def test_the_cameras_refocus_as_the_true_ones() -> None:
-    case, cameras, *_ = air(cameras={"rows": 120, "columns": 120, "pixel_mm": 0.1})
-    answer = solved(case)
-    images = np.random.default_rng(2).random((len(cameras), 120, 120)).astype(np.float32)
-    grid = Grid((-10.0, -8.0, 25.0), (0.5, 0.5, 2.0), (9, 33, 41))
-    expected = refocus_sum(images, cameras, grid)
-    assert_allclose(refocus_sum(images, answer.cameras, grid), expected, atol=2e-2)
-
-
 def test_noise_passes_without_a_warning_and_a_departure_does_not() -> None:
     case, _, points, exact = air(0.1)
     assert true_error_px(solved(case).cameras, points, exact) < 0.04
     moved, *_ = level(0.1)
-    with pytest.warns(UserWarning, match="plane_parallax: neighbouring points share errors of 0.1"):
+    with pytest.warns(UserWarning, match="plane_parallax") as heard:
         solved(moved)
+    check_sentence(str(heard[0].message), "0.1")
 
 
 def test_cases_without_a_level_frame_or_with_one_camera_are_skipped() -> None:
     algorithm: Any = make_algorithm("plane_parallax", {})
     tilted, *_ = case_of(calibration_scene(wall=None))
-    assert algorithm.skip(tilted).startswith("expected a frame of one Z, got a range of")
+    check_sentence(algorithm.skip(tilted))
     case, *_ = air()
     alone = replace(case, cameras=case.cameras[:1], pixels=case.pixels[:1])
-    assert algorithm.skip(alone) == "it needs two cameras"
+    check_sentence(algorithm.skip(alone))
     flat = np.broadcast_to(case.initial_mm[3], case.initial_mm.shape)
-    assert "got all of them in one plane" in algorithm.skip(replace(case, initial_mm=flat))
+    check_sentence(algorithm.skip(replace(case, initial_mm=flat)))

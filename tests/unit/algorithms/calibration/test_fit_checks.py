@@ -15,10 +15,8 @@ from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.algorithms.calibration.resection import place_boards
 from sabench.api.make import make_algorithm
-from sabench.geometry.camera import Camera
-from sabench.geometry.refraction import Wall
-from sabench.utils.errors import InputError
 from tests.helpers.calibration_tanks import make_tank, off_wall, solve, with_places
+from tests.helpers.refusals import check_sentence, refused
 
 
 def problem_of() -> tuple[CalibrationProblem, State]:
@@ -29,28 +27,24 @@ def problem_of() -> tuple[CalibrationProblem, State]:
     return problem, problem.start
 
 
-def test_a_state_that_can_be_has_no_fault() -> None:
-    problem, state = problem_of()
-    assert list_faults(state, problem.seen, problem.frame) == []
-
-
 @pytest.mark.parametrize(
-    ("part", "place", "value", "words"),
+    ("part", "place", "value", "key"),
     [
-        ("thicknesses", 0, -279.0, "glass: expected a positive thickness"),
-        ("indices", 2, 0.5, "the fluid: expected a refractive index of 1 or more"),
-        ("lenses", (1, 0), -50.0, "camera_01: expected a positive principal distance"),
-        ("centers", (1, 2), 40.0, "camera_01: expected it in front of the wall"),
-        ("board_positions", (2, 2), -70.0, "frame 2: expected its points in the fluid"),
-        ("board_rotations", (0, 0, 0), np.nan, "board_rotations: expected finite numbers"),
+        ("thicknesses", 0, -279.0, "glass"),
+        ("indices", 2, 0.5, "fluid"),
+        ("lenses", (1, 0), -50.0, "camera_01"),
+        ("centers", (1, 2), 40.0, "camera_01"),
+        ("board_positions", (2, 2), -70.0, "frame 2"),
+        ("board_rotations", (0, 0, 0), np.nan, "board_rotations"),
     ],
 )
-def test_what_cannot_be_is_named(part: str, place: Any, value: float, words: str) -> None:
+def test_what_cannot_be_is_named(part: str, place: Any, value: float, key: str) -> None:
     problem, state = problem_of()
     values = getattr(state, part).copy()
     values[place] = value
+    assert list_faults(state, problem.seen, problem.frame) == []
     (fault,) = list_faults(replace(state, **{part: values}), problem.seen, problem.frame)
-    assert words in fault
+    check_sentence(fault, key)
 
 
 def test_mirrored_boards_are_in_the_fluid() -> None:
@@ -59,8 +53,7 @@ def test_mirrored_boards_are_in_the_fluid() -> None:
     for turned in (False, True):
         back = mirror_boards(out, problem.seen, turned=turned)
         assert list_faults(back, problem.seen, problem.frame) == []
-        turns = np.linalg.det(back.board_rotations)
-        assert_allclose(turns, 1.0, rtol=1e-12)
+        assert_allclose(np.linalg.det(back.board_rotations), 1.0, rtol=1e-12)
 
 
 def test_a_start_through_the_wall_is_left() -> None:
@@ -76,35 +69,26 @@ def test_a_start_through_the_wall_is_left() -> None:
 def test_a_negative_glass_is_refused() -> None:
     """A wall that is elsewhere drives the thickness of its glass far below zero."""
     case, _, places = make_tank()
-    with pytest.raises(InputError, match="glass: expected a positive thickness, but the fit gives"):
+    with refused("glass"):
         solve(off_wall(with_places(case, places), -50.0), thicknesses=[0])
 
 
 def test_a_free_glass_stays_near_its_nominal_thickness() -> None:
     """Images without a model's error say little of it, which the prior shows."""
     case, _, _ = make_tank()
-    camera = solve(case, thicknesses=[0]).cameras[0]
-    assert isinstance(camera, Camera)
-    assert isinstance(camera.wall, Wall)
+    camera: Any = solve(case, thicknesses=[0]).cameras[0]
     assert camera.wall.layers[0].thickness_mm == pytest.approx(8.0, abs=6.0)
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("thicknesses", [1], "thicknesses: expected numbers from 0 and below 1"),
-        ("indices", [-1], "indices: expected numbers from 0 and below 3"),
-        ("wall", True, "wall: expected a wall and three points or more with known x, y and z"),
-    ],
+    ("name", "value"), [("thicknesses", [1]), ("indices", [-1]), ("wall", True)]
 )
-def test_unknown_layers_and_walls_are_a_sentence(name: str, value: Any, words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_unknown_layers_and_walls_are_named(name: str, value: Any) -> None:
+    with refused(name):
         solve(make_tank()[0], **{name: value})
 
 
-def test_a_depth_that_images_put_into_the_wall_is_held(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_depth_that_images_put_into_the_wall_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
     """Images so coarse that their best depth is in the wall, from every start."""
     case, _, _ = make_tank()
     case = replace(case, initial_mm=place_boards(case))
@@ -130,4 +114,4 @@ def test_the_depth_of_a_richer_model_is_held_rather_than_the_guess() -> None:
     solver: Any = make_algorithm("refractive_autocal", {})
     answer = solver.solve(case)
     assert answer.points_mm[..., 2].mean() == pytest.approx(true, abs=3.0)
-    assert "take them as unknowns" in answer.remarks[0]
+    check_sentence(answer.remarks[0])

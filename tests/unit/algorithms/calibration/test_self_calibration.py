@@ -23,7 +23,7 @@ from sabench.images.peaks import find_peaks
 from sabench.plugins import load
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import check_sentence, refused
 
 
 def particle_scene(shift_px: float, wall: bool = True, per_pixel: float = 0.025) -> Scene:
@@ -49,8 +49,7 @@ def corrected(case: Observation, **parameters: float) -> Calibration:
 
 
 def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) -> float:
-    """Return the cameras' mean error in pixels of true particles. It excludes the motion of all
-    cameras together, which images do not show."""
+    """Mean error, px, of true particles, without the motion of all cameras together."""
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in build_rig(scene).cameras])
     found = triangulate(cameras, exact)
@@ -60,37 +59,26 @@ def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) 
 
 
 @pytest.mark.slow
-def test_cameras_two_pixels_off_agree_again() -> None:
-    scene = particle_scene(2.0, per_pixel=0.012)
-    shot = simulate(scene, seed=3)
-    assert disagreement_px(shot, shot.observation.cameras, scene) > 1.0
-    answer = corrected(shot.observation)
-    assert [camera.name for camera in answer.cameras] == [
-        camera.name for camera in shot.observation.cameras
-    ]
-    assert disagreement_px(shot, answer.cameras, scene) < 0.06
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("shift_px", "reach_px"), [(0.0, 4.0), (8.0, 10.0)])
 def test_exact_cameras_stay_and_others_are_reached(shift_px: float, reach_px: float) -> None:
     scene = particle_scene(shift_px, per_pixel=0.012)
     shot = simulate(scene, seed=4)
+    assert (disagreement_px(shot, shot.observation.cameras, scene) > 1.0) == (shift_px > 0.0)
     answer = corrected(shot.observation, reach_px=reach_px)
+    names = [camera.name for camera in shot.observation.cameras]
+    assert [camera.name for camera in answer.cameras] == names
     assert disagreement_px(shot, answer.cameras, scene) < 0.06
 
 
 @pytest.mark.slow
 def test_sets_that_agree_by_chance_are_refused() -> None:
     seen = simulate(particle_scene(8.0), seed=3).observation
-    with pytest.raises(InputError, match=r"got \d+ where chance makes \d+: .* reach_px = 4"):
+    with refused("reach_px"):
         corrected(seen)
 
 
 @pytest.mark.slow
-def test_without_room_for_all_sets_images_are_left_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_room_for_all_sets_images_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = particle_scene(2.0)
     shot = simulate(scene, seed=3)
     monkeypatch.setattr(disparity, "_SETS", 20_000)
@@ -111,8 +99,7 @@ def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
 
 
 def test_all_right_sets_are_among_those_found() -> None:
-    """Every particle whose images are near their nominal positions makes a set. The particles are
-    placed by hand."""
+    """Every particle whose images are near their nominal positions makes a set."""
     cameras = build_rig(particle_scene(0.0)).cameras[:4]
     maps = fit_volume_polynomials(cameras, np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0]))
     rng = np.random.default_rng(1)
@@ -137,11 +124,11 @@ def test_the_densest_spot_is_found_among_noise() -> None:
 
 def test_nothing_to_go_by_is_said() -> None:
     seen = simulate(particle_scene(0.0), seed=1).observation
-    with pytest.raises(InputError, match="camera_00: expected particle images"):
+    with refused("camera_00"):
         corrected(replace(seen, images=np.full_like(seen.images, int(seen.black_dn))))
     plugin = load("solvers", "volume_self_calibration")
     two = replace(seen, images=seen.images[:2], cameras=seen.cameras[:2])
-    assert plugin(plugin.Parameters()).skip(two) == "expected 3 cameras or more, got 2"
+    check_sentence(plugin(plugin.Parameters()).skip(two), "3", "2")
 
 
 def test_each_part_of_the_box_has_its_own_disparity() -> None:

@@ -1,5 +1,4 @@
-"""Passes over all particles give the same on any number of cores. Groups that are fitted side by
-side share no pixel."""
+"""Passes over all particles give the same on any number of cores."""
 
 import numba
 import numpy as np

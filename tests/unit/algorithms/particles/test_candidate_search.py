@@ -13,10 +13,7 @@ from sabench.algorithms.particles.candidate_search import (
     shared_views,
     volume_shares,
 )
-from sabench.geometry.volume_polynomials import (
-    fit_volume_polynomials,
-    project_points,
-)
+from sabench.geometry.volume_polynomials import fit_volume_polynomials, project_points
 from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import TYPICAL, paint
 from tests.helpers.particle_box import (
@@ -88,9 +85,7 @@ def test_dark_images_have_no_candidates(maps: Maps) -> None:
     assert find_candidates(maps, dark, math.log(0.1), 0.2).shape == (0, 3)
 
 
-def test_the_lattice_is_coarser_along_the_view(
-    maps: Maps,
-) -> None:
+def test_the_lattice_is_coarser_along_the_view(maps: Maps) -> None:
     z, y, x = lattice_shape(maps)
     size = pixel_mm(maps)
     step = 2.0 * maps.half_mm / (np.array([x, y, z]) - 1.0)

@@ -15,14 +15,16 @@ from sabench.algorithms.particles.defocusing import (
 from sabench.api import Camera, ImageSequence
 from sabench.api.make import make_algorithm
 from sabench.evaluation.suite_loading import override
+from sabench.geometry.grid import Grid
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.geometry.triangulation import triangulate
-from sabench.images.peaks import Peaks, sort_peaks
+from sabench.images.peaks import sort_peaks
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64, triple
+from tests.helpers.refusals import check_sentence
 from tests.helpers.small_particles import count_found, make_small, rotate_cameras
 
 SCENE = load_scene("ddpiv-100x100x100")
@@ -50,17 +52,9 @@ def images_of(world: F64, cameras: tuple[Camera, ...] = RIG.cameras) -> list[F64
     return [camera.project(world)[0] for camera in cameras]
 
 
-def peaks_of(world: F64, cameras: tuple[Camera, ...] = RIG.cameras) -> tuple[Peaks, ...]:
-    shape = cameras[0].rows, cameras[0].columns
-    return tuple(sort_peaks(own, shape) for own in images_of(world, cameras))
-
-
 def test_images_are_triangles_of_one_orientation_that_grow_towards_the_apertures() -> None:
     world = np.array([[5.0, -3.0, z] for z in (-40.0, 0.0, 40.0)])
-    a, b, c = (
-        APERTURES.superimpose(camera, own)
-        for camera, own in zip(RIG.cameras, images_of(world), strict=True)
-    )
+    a, b, c = superimposed(images_of(world)).transpose(1, 0, 2)
     sides = np.stack([b - a, c - b, a - c], axis=1)
     lengths = np.linalg.norm(sides, axis=2)
     assert np.ptp(lengths, axis=1).max() < 0.02  # the scene's numbers are rounded
@@ -85,7 +79,9 @@ def test_positions_from_exact_images_are_exact_and_those_of_least_squares() -> N
 
 def test_triplets_of_exact_images_are_found_and_no_others() -> None:
     world = points(2000)
-    found = match_triangles(APERTURES, RIG.cameras, peaks_of(world), RIG.grid, 0.02)
+    shape = RIG.cameras[0].rows, RIG.cameras[0].columns
+    peaks = tuple(sort_peaks(own, shape) for own in images_of(world))
+    found = match_triangles(APERTURES, RIG.cameras, peaks, RIG.grid, 0.02)
     near = np.linalg.norm(found.position[:, None] - world[None], axis=2).min(axis=1)
     assert (near < 1e-6).sum() == 2000
     assert len(found.position) < 2060  # by chance
@@ -115,11 +111,10 @@ def sparse_shot(seed: int = 3) -> Shot:
 
 def test_particles_of_images_are_those_of_ray_triangulation() -> None:
     shot = sparse_shot()
-    found = find_by_defocusing(shot.observation)
+    found: Any = find_by_defocusing(shot.observation)
     counts = count_found(shot, found)
     assert counts.recall > 0.85
     assert counts.precision > 0.97
-    assert found.intensity is not None
     assert found.intensity.min() > 0.2
 
 
@@ -138,32 +133,26 @@ def moved(number: int, **changes: Any) -> tuple[Camera, ...]:
 TILTED = rows_of(rotation_matrices(np.array([[0.0, np.radians(5.0), 0.0]]))[0])
 
 
+LINE = [replace(RIG.cameras[0], center_mm=(x, 0.0, -700.0)) for x in (0.0, 50.0, 100.0)]
+BEHIND = replace(RIG.grid, low_mm=(*RIG.grid.low_mm[:2], -800.0))
+
+
 @pytest.mark.parametrize(
-    ("cameras", "got"),
+    ("cameras", "grid", "keys"),
     [
-        (RIG.cameras[:2], "got 2 cameras"),
-        (moved(1, wall=WALL), "got camera_01 behind a wall"),
-        (moved(0, center_mm=(0.0, -120.0, -700.0)), "got sides of 100, 157 and 157 mm"),
-        (moved(0, rotation=TILTED), "got camera_00 at 5.0 degrees"),
+        (RIG.cameras[:2], RIG.grid, ["2"]),
+        (moved(1, wall=WALL), RIG.grid, ["camera_01"]),
+        (moved(0, center_mm=(0.0, -120.0, -700.0)), RIG.grid, ["100, 157 and 157"]),
+        (moved(0, rotation=TILTED), RIG.grid, ["camera_00", "5.0"]),
+        (LINE, RIG.grid, ["50, 50 and 100"]),
+        (RIG.cameras, BEHIND, []),
     ],
 )
-def test_other_cameras_are_refused_in_one_sentence(cameras: Any, got: str) -> None:
-    fault = find_unsuitable(cameras, RIG.grid)
-    assert fault is not None
-    assert fault.startswith("it needs three cameras at the corners of an equilateral triangle")
-    assert fault.endswith(got)
+def test_other_cameras_are_refused_in_one_sentence(cameras: Any, grid: Grid, keys: Any) -> None:
     assert find_unsuitable(RIG.cameras, RIG.grid) is None
-
-
-def test_cameras_in_a_line_and_a_grid_behind_them_are_refused() -> None:
-    line = [replace(RIG.cameras[0], center_mm=(x, 0.0, -700.0)) for x in (0.0, 50.0, 100.0)]
-    assert "got sides of 50, 50 and 100 mm" in str(find_unsuitable(line, RIG.grid))
-    low = RIG.grid.low_mm
-    behind = replace(RIG.grid, low_mm=(low[0], low[1], -800.0))
-    assert "beside or behind" in str(find_unsuitable(RIG.cameras, behind))
+    check_sentence(find_unsuitable(cameras, grid) or "", *keys)
 
 
 def test_the_solver_declines_four_cameras() -> None:
     solver: Any = make_algorithm("ddpiv", {})
-    case = ImageSequence.of([make_small(1).observation])
-    assert solver.skip(case).endswith("no wall, got 4 cameras")
+    check_sentence(solver.skip(ImageSequence.of([make_small(1).observation])), "4")

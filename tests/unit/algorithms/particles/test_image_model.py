@@ -38,12 +38,8 @@ def image_of(model: image_model.ImageModel, room: image_model.Room, position: F6
 def points_in_pixels(room: image_model.Room) -> F64:
     """Places (row, column, 2) as (column, row) within pixels of the window, px."""
     fine = (np.arange(FINE) + 0.5) / FINE - 0.5
-    column, row = (
-        (
-            room.corner[CAMERA, k] - image_model.MARGIN_PX + np.arange(room.window)[:, None] + fine
-        ).ravel()
-        for k in range(2)
-    )
+    corner = room.corner[CAMERA] - image_model.MARGIN_PX
+    column, row = ((at + np.arange(room.window)[:, None] + fine).ravel() for at in corner)
     return np.stack(np.meshgrid(column, row), axis=-1)
 
 
@@ -91,12 +87,9 @@ def test_flatness_is_limited(maps: Maps, flatness: float, as_if: float) -> None:
     assert_allclose(one, other, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("correlation", "flatness"), [(0.1, 0.0), (0.3, 0.0), (0.0, 0.05), (-0.2, 0.05)]
-)
+@pytest.mark.parametrize(("correlation", "flatness"), [(0.3, 0.0), (0.0, 0.05), (-0.2, 0.05)])
 def test_slopes_are_the_images(maps: Maps, correlation: float, flatness: float) -> None:
-    """Against differences of images of particles that are moved in the box. Steps of fits need no
-    more: the shape's own change is left out."""
+    """Against differences of images; the shape's own change is left out."""
     model, room = shaped(maps, correlation, flatness)
     step = 1e-3
     image_model.place_windows(model, room, PLACE)
@@ -140,9 +133,7 @@ def all_images(model: image_model.ImageModel, position: F64) -> F64:
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize(
-    ("correlation", "flatness"), [(0.0, 0.0), (0.3, 0.0), (-0.4, 0.0), (0.0, 0.05), (0.3, 0.03)]
-)
+@pytest.mark.parametrize(("correlation", "flatness"), [(0.0, 0.0), (-0.4, 0.0), (0.3, 0.05)])
 def test_a_claim_is_the_bound_of_the_shape(maps: Maps, correlation: float, flatness: float) -> None:
     """With ellipses of which one axis is a quarter longer, as they are or aslant."""
     model = model_of(maps, np.zeros((4, ROWS, COLUMNS)))

@@ -1,5 +1,4 @@
-"""Fits of particles to images: costs against their definition, results against truth. The most
-probable light against a general optimiser."""
+"""Fits of particles to images: costs against their definition, results against truth."""
 
 import math
 

@@ -156,24 +156,18 @@ def test_a_single_position_moves_as_it_is_expected_to() -> None:
     assert_allclose(covariance[0, 0].diagonal(), [1e-4, 4.0, 9.0], rtol=1e-6)
 
 
-def flow(position: F64, wavelength: float, speed: float) -> tuple[F64, F64]:
-    """Velocities (n, 3) of random waves, divergence-free, and accelerations (u grad) u."""
-    rng = np.random.default_rng(3)
-    velocity, slopes = np.zeros_like(position), np.zeros((len(position), 3, 3))
-    for _ in range(60):
+def guess(count: int, wavelength: float, speed: float) -> tuple[float, float]:
+    """Guessed and true standard deviation of an acceleration's components."""
+    position = np.random.default_rng(5).uniform(0.0, 10.0, (count, 3))
+    rng, velocity, slopes = np.random.default_rng(3), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    for _ in range(60):  # random waves, free of divergence
         wave, phase = rng.standard_normal(3) * 2.0 * np.pi / wavelength, rng.uniform(0.0, 6.28)
         along = np.cross(wave, rng.standard_normal(3))
         along *= speed / np.linalg.norm(along) / 5.0
         angle = position @ wave + phase
         velocity += np.cos(angle)[:, None] * along
         slopes -= np.sin(angle)[:, None, None] * along[:, None] * wave
-    return velocity, np.einsum("nab,nb->na", slopes, velocity)
-
-
-def guess(count: int, wavelength: float, speed: float) -> tuple[float, float]:
-    """Guessed and true standard deviation of an acceleration's components."""
-    position = np.random.default_rng(5).uniform(0.0, 10.0, (count, 3))
-    velocity, true = flow(position, wavelength, speed)
+    true = np.einsum("nab,nb->na", slopes, velocity)
     tracks = start_tracks(position, velocity, 0.01, 1e-9)
     return float(np.sqrt(tracks.acceleration)), float(np.sqrt(np.mean(true**2)))
 

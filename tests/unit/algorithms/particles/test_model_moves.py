@@ -1,5 +1,6 @@
-"""Ghosts are removed and pairs split, single particles are neither. Widths and shifts of cameras
-are learned."""
+"""Ghosts are removed and pairs split, single particles are neither."""
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,12 +47,17 @@ def even_light(count: int, share: float = 1.0) -> F64:
     return np.full((count, 4), share * TYPICAL)
 
 
-def split(
-    model: image_model.ImageModel,
-    room: image_model.Room,
-    particles: image_model.ModelParticles,
-    steps: F64,
-) -> None:
+def one_of_two(maps: Maps, images: F64, share: float) -> Any:
+    """A model without one particle at the origin, room for another, and that one alone."""
+    model, room, lights = model_of(maps, images), room_of(maps), even_light(2, share)
+    rows, alive = np.zeros((2, 3)), np.array([True, False])
+    single = image_model.ModelParticles(rows[:1], lights[:1], alive[:1])
+    image_model.paint_all(model, room, single, -1.0)
+    return model, room, image_model.ModelParticles(rows, lights, alive), single
+
+
+def split(model: Any, room: Any, particles: image_model.ModelParticles, steps: F64) -> None:
+    """Try to split particle 0 into itself and particle 1, which is not alive yet."""
     order, row = np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)
     model_moves.split_pairs(model, room, particles, order, row, steps)
 
@@ -78,17 +84,13 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(maps
     images = noisy(maps, true, light)
     shared = light.copy()
     shared[np.arange(4), np.arange(4)] *= 0.5  # the ghost has half of one image of each
-    particles = particles_of(np.vstack([true, ghost]), np.vstack([shared, 0.5 * light[:1]]))
-    model, room = model_of(maps, images, between=0.3), room_of(maps)
-    image_model.paint_all(model, room, particles, -1.0)
+    given = np.vstack([true, ghost]), np.vstack([shared, 0.5 * light[:1]])
+    model, room, particles = subtracted(maps, images, *given, 0.3)
     starts, near = model_moves.find_neighbours(maps, WIDTHS, particles.position)
     assert set(near[starts[4] :]) == {0, 1, 2, 3}
-    order = np.arange(5)[::-1].copy()
     sure, odds = np.zeros(5, dtype=np.bool_), np.zeros(5)
-    assert (
-        model_moves.remove_ghosts(model, room, particles, order, starts, near, 4, True, sure, odds)
-        == 1
-    )
+    rest = np.arange(5)[::-1].copy(), starts, near, 4, True, sure, odds
+    assert model_moves.remove_ghosts(model, room, particles, *rest) == 1
     assert sure.tolist() == [True] * 4 + [False]
     assert (odds > 10.0).tolist() == [True] * 4 + [False]
     assert particles.alive.tolist() == [True] * 4 + [False]
@@ -141,14 +143,11 @@ def test_true_particles_stay_and_nothing_moves(maps: Maps) -> None:
 
 
 @pytest.mark.slow
-def test_squares_left_are_those_of_noise_where_particles_fit(
-    maps: Maps,
-) -> None:
+def test_squares_left_are_those_of_noise_where_particles_fit(maps: Maps) -> None:
     points, light = 0.8 * unit_points(30), even_light(30)
-    model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
-    particles = particles_of(points, light)
-    particles.light[0] *= 0.5
-    image_model.paint_all(model, room, particles, -1.0)
+    given, light = light, light.copy()
+    light[0] *= 0.5
+    model, room, particles = subtracted(maps, noisy(maps, points, given), points, light)
     model_moves.measure_misfit(model, room, particles, misfit := np.zeros(30))
     assert misfit[0] > 10.0
     assert abs(np.median(misfit)) < 1.0
@@ -188,18 +187,15 @@ def test_shapes_that_change_over_the_box_are_learned(maps: Maps, shaped: bool) -
         add_shape_misses(model, room, particles, np.arange(30), matrices, right)
         matrices[:3, 12:], matrices[:3, :, 12:], right[:3, 12:] = 0.0, 0.0, 0.0
         matrices[:3, 12:, 12:] = np.eye(4)  # these are known not to be flat
-        model.shapes[:] += np.linalg.solve(matrices, right[:, :, None]).reshape(
-            4, image_model.SHAPES, 4
-        )
+        steps = np.linalg.solve(matrices, right[:, :, None])
+        model.shapes[:] += steps.reshape(4, image_model.SHAPES, 4)
         model.left[:] = model.images
         image_model.paint_all(model, room, particles, -1.0)
         refine_all(model, room, particles, 2)
     assert_allclose(model.shapes, expected, atol=2e-3)
 
 
-def test_a_far_tail_alone_says_nothing_of_widths(
-    maps: Maps,
-) -> None:
+def test_a_far_tail_alone_says_nothing_of_widths(maps: Maps) -> None:
     """Its squared image there is less than the least number: quotients by it have no bound."""
     images = paint(maps, np.zeros((1, 3)), even_light(1), ROWS, COLUMNS)
     particles = particles_of(np.zeros((1, 3)), even_light(1))
@@ -218,9 +214,8 @@ def test_a_shift_of_a_camera_shows_in_its_equations(maps: Maps) -> None:
     points, light = 0.8 * unit_points(30), even_light(30)
     shifted = maps._replace(coefficients=maps.coefficients.copy())
     shifted.coefficients[1, 0] += [0.04, -0.06]
-    model, room = model_of(maps, paint(shifted, points, light, ROWS, COLUMNS)), room_of(maps)
-    particles = particles_of(points, light)
-    image_model.paint_all(model, room, particles, -1.0)
+    images = paint(shifted, points, light, ROWS, COLUMNS)
+    model, room, particles = subtracted(maps, images, points, light)
     sums = np.zeros((4, 5))
     add_camera_misses(model, room, particles, sums)
     for camera, (xx, xy, yy, x, y) in enumerate(sums):
@@ -245,9 +240,7 @@ def test_the_promise_is_the_parabola_of_costs_of_halves_that_move_apart(maps: Ma
     step = pixel_mm(maps) / maps.half_mm * np.array([[0.6, 0.3, 1.5]])
     pair = np.vstack([point + step, point - step])
     images = noisy(maps, pair, 0.5 * np.vstack([light, light]))
-    particles, room = particles_of(point, light), room_of(maps)
-    model = model_of(maps, images)
-    image_model.paint_all(model, room, particles, -1.0)
+    model, room, particles = subtracted(maps, images, point, light)
     model_moves.measure_split_gains(model, room, particles, step, gain := np.zeros(1))
 
     small = 0.1 * step
@@ -274,9 +267,8 @@ def test_noise_promises_half_the_square_of_a_normal_deviate_if_positive(maps: Ma
 def test_a_peak_of_the_wrong_height_promises_nothing(maps: Maps) -> None:
     """Light explains it: it is no pair."""
     point, light = np.zeros((1, 3)), even_light(1)
-    model = model_of(maps, paint(maps, point, light, ROWS, COLUMNS))
-    particles = particles_of(point, light * [0.7, 1.4, 0.8, 1.3])
-    image_model.paint_all(model, room_of(maps), particles, -1.0)
+    images = paint(maps, point, light, ROWS, COLUMNS)
+    model, _, particles = subtracted(maps, images, point, light * [0.7, 1.4, 0.8, 1.3])
     assert gains_of(model, maps, particles)[0] < 0.1
 
 
@@ -289,9 +281,8 @@ def test_a_pair_stands_out_where_the_model_errs_more_than_the_noise(maps: Maps) 
     seen = np.vstack([points[:20], np.zeros((1, 3))])
     light = even_light(21)
     light[20] *= 2.0
-    model, room, particles = model_of(maps, images), room_of(maps), particles_of(seen, light)
+    model, room, particles = subtracted(maps, images, seen, light)
     model.weight[:] /= 5.0
-    image_model.paint_all(model, room, particles, -1.0)
     refine_all(model, room, particles, 10)
     gains = gains_of(model, maps, particles)
     assert gains[20] > 5.0 + gains[:20].max()
@@ -303,11 +294,7 @@ def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[
     half = 0.8 * size * np.array(direction) * [1.0, 1.0, 4.0]
     pair = np.array([half, -half])
     images = noisy(maps, pair, even_light(2))
-    model, room = model_of(maps, images), room_of(maps)
-    rows, lights = np.zeros((2, 3)), np.full((2, 4), 2.0 * TYPICAL)
-    particles = image_model.ModelParticles(rows, lights, np.array([True, False]))
-    single = image_model.ModelParticles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
-    image_model.paint_all(model, room, single, -1.0)
+    model, room, particles, single = one_of_two(maps, images, 2.0)
     refine_all(model, room, single, 10)
     steps = 0.7 * size * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
     model_moves.measure_split_gains(model, room, single, steps, gain := np.zeros(1))
@@ -321,10 +308,8 @@ def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[
 
 
 def test_a_single_particle_is_not_split(maps: Maps) -> None:
-    point, light = np.zeros((1, 3)), even_light(1)
-    model, room = model_of(maps, noisy(maps, point, light)), room_of(maps)
-    particles = image_model.ModelParticles(np.zeros((2, 3)), even_light(2), np.array([True, False]))
-    image_model.paint_all(model, room, particles_of(point, light), -1.0)
+    images = noisy(maps, np.zeros((1, 3)), even_light(1))
+    model, room, particles, _ = one_of_two(maps, images, 1.0)
     left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
     steps = 0.7 * size * np.eye(3)
     split(model, room, particles, steps)
@@ -338,11 +323,7 @@ def test_a_wide_particle_is_not_split(maps: Maps) -> None:
     size = pixel_mm(maps) / maps.half_mm
     pair = 0.15 * size * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
     images = noisy(maps, pair, np.full((2, 4), 50.0 * TYPICAL))
-    model, room = model_of(maps, images), room_of(maps)
-    light = np.full((2, 4), 100.0 * TYPICAL)
-    particles = image_model.ModelParticles(np.zeros((2, 3)), light, np.array([True, False]))
-    single = image_model.ModelParticles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
-    image_model.paint_all(model, room, single, -1.0)
+    model, room, particles, single = one_of_two(maps, images, 100.0)
     steps = 0.15 * size * np.ones((1, 3))
     model_moves.measure_split_gains(model, room, single, steps, gain := np.zeros(1))
     assert gain[0] > 100.0

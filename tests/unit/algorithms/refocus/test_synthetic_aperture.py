@@ -1,9 +1,9 @@
-"""Refocusing against a second implementation, and between both back ends. The second implementation
-uses exact projection, and scipy's splines and interpolation."""
+"""Refocusing against a second implementation, and between both back ends."""
 
 import functools
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,27 +39,17 @@ BROWN = Distortion(-0.4, 2.0, 2e-3, -3e-3, 0.0)
 GRID = Grid((-5.0, 0.7, 40.0), (0.06, 0.06, 0.5), (9, 151, 190))
 
 
-def make_camera(x: float, y: float, wall: Wall | None, lens: Distortion = BROWN) -> Camera:
-    camera = cameras.make_camera(
-        rows=110,
-        columns=140,
-        center_mm=(x, y, -300.0),
-        rotation=cameras.ALONG_Z,
-        principal_distance_mm=60.0,
-        principal_point_px=(66.0, 47.0),
-        distortion=lens,
-        wall=wall,
-    )
-    return aim(camera, (1.0, 5.0, 42.0))
+def make_camera(
+    x: float, y: float, wall: Wall | None, lens: Distortion = BROWN, **changes: Any
+) -> Camera:
+    values = {"rows": 110, "columns": 140, "principal_point_px": (66.0, 47.0), "wall": wall}
+    values |= {"rotation": cameras.ALONG_Z, "principal_distance_mm": 60.0, "distortion": lens}
+    at = changes.pop("at", (1.0, 5.0, 42.0))
+    return aim(cameras.make_camera(center_mm=(x, y, -300.0), **values | changes), at)
 
 
 def even(level: float, count: int) -> F32:
     return np.full((count, 110, 140), level, dtype=np.float32)
-
-
-def spot(column: float, row: float) -> F64:
-    rows, columns = np.mgrid[0:110, 0:140]
-    return np.asarray(np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / 4.0))
 
 
 def in_plane(spots: F64, z_mm: float) -> F64:
@@ -81,8 +71,7 @@ def smooth_images(seed: int, count: int = 3) -> F32:
 
 
 def reference(images: F32, rig: list[Camera], grid: Grid) -> F64:
-    """Return samples (camera, z, y, x) by exact projections. A spline onto the slab's plane, then
-    bilinear interpolation. NaN near an image's border."""
+    """Samples (camera, z, y, x) by exact projections; NaN near an image's border."""
     zz, yy, xx = np.meshgrid(*grid.axes_mm[::-1], indexing="ij")
     points = np.stack([xx, yy, zz], axis=-1).reshape(-1, 3)
     samples = np.full((len(rig), len(points)), np.nan)
@@ -96,10 +85,8 @@ def reference(images: F32, rig: list[Camera], grid: Grid) -> F64:
 
 def looked_up(image: F32, camera: Camera, points: F64, grid: Grid, z_mm: float) -> F64:
     pixels = camera.project(points)[0]
-    voxels = grid.to_voxels(
-        np.column_stack([camera.carry(points, z_mm), np.full(len(points), z_mm)])
-    )
-    voxels = voxels[:, :2]
+    there = np.column_stack([camera.carry(points, z_mm), np.full(len(points), z_mm)])
+    voxels = grid.to_voxels(there)[:, :2]
     low = np.floor(voxels.min(axis=0)).astype(int) - 1
     columns, rows = np.ceil(voxels.max(axis=0)).astype(int) + 2 - low
     i, j = np.meshgrid(np.arange(columns) + low[0], np.arange(rows) + low[1])
@@ -113,7 +100,7 @@ def looked_up(image: F32, camera: Camera, points: F64, grid: Grid, z_mm: float) 
     return np.asarray(value)
 
 
-@pytest.mark.parametrize("wall", [None, FLAT, TILTED])
+@pytest.mark.parametrize("wall", [None, TILTED])
 def test_refocusing_is_interpolation_at_exact_projections(wall: Wall | None) -> None:
     rig, images = array(wall), smooth_images(5)
     samples = reference(images, rig, GRID)
@@ -133,7 +120,7 @@ def test_refocusing_is_interpolation_at_exact_projections(wall: Wall | None) -> 
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("wall", [None, FLAT, TILTED])
+@pytest.mark.parametrize("wall", [None, TILTED])
 def test_maps_stay_within_their_tolerance_by_slabs(wall: Wall | None) -> None:
     rig, deep = array(wall), replace(GRID, voxel_mm=(0.06, 0.06, 1.5), shape=(40, 151, 600))
     parts = slabs(rig, deep)
@@ -164,14 +151,6 @@ def test_deviation_is_that_of_all_voxels() -> None:
         seen = camera.contains(exact)
         worst = max(worst, float(np.linalg.norm(exact - there, axis=1)[seen].max()))
     assert 0.5 * worst <= deviation_px(slab, rig, GRID) <= 1.001 * worst
-
-
-def test_sum_is_linear() -> None:
-    half = np.float32(0.5)  # no spline dips below zero
-    rig, first, second = array(FLAT), smooth_images(7) + half, smooth_images(8) + half
-    both = refocus_sum(2.0 * first + half * second, rig, GRID)
-    apart = 2.0 * refocus_sum(first, rig, GRID) + 0.5 * refocus_sum(second, rig, GRID)
-    assert_allclose(both, apart, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("refocused", [refocus_sum, functools.partial(refocus_log2, floor=FLOOR)])
@@ -214,22 +193,13 @@ def test_both_back_ends_agree(wall: Wall | None, monkeypatch: pytest.MonkeyPatch
         assert np.median(np.abs(mine - other)) < 5e-4
 
 
-@pytest.mark.parametrize("level", [0.0, 0.01, 3.0, 10.0])
+@pytest.mark.parametrize("level", [0.0, 3.0, 10.0])
 def test_many_factors_do_not_leave_the_range_of_floats(level: float) -> None:
     """Thirty cameras whose product is 1e-60, and 1e30 with bright ones."""
     camera = make_camera(0.0, 10.0, None, Distortion())
     grid = Grid((0.5, 4.6, 42.0), (0.05, 0.05, 0.4), (2, 5, 6))
     found = refocus_log2(even(level, 30), [camera] * 30, grid, 0.01)
     assert_allclose(found, 30.0 * np.log2(max(level, 0.01)), rtol=2e-5)
-
-
-def test_a_particle_in_all_images_is_brightest_where_it_is() -> None:
-    rig, (k, j, i) = array(TILTED), (4, 71, 101)
-    x, y, z = GRID.axes_mm
-    pixels = [camera.project([[x[i], y[j], z[k]]])[0][0] for camera in rig]
-    images = np.stack([spot(*pixel) for pixel in pixels]).astype(np.float32)
-    found = refocus_log2(images, rig, GRID, FLOOR)
-    assert found.argmax() == np.ravel_multi_index((k, j, i), GRID.shape)
 
 
 def test_spline_passes_through_pixels_and_is_scipys() -> None:
@@ -246,10 +216,8 @@ def test_spline_passes_through_pixels_and_is_scipys() -> None:
 
 def test_linear_resampling_is_scipys() -> None:
     images = np.random.default_rng(13).random((1, 37, 53)).astype(np.float32)
-    out, maps = (
-        np.empty((1, 21, 33), np.float32),
-        np.array([[[25.0, 20.0, 3.0], [18.0, 2.0, 14.0]]]),
-    )
+    out = np.empty((1, 21, 33), np.float32)
+    maps = np.array([[[25.0, 20.0, 3.0], [18.0, 2.0, 14.0]]])
     resample(coefficients_of(images, LINEAR), LINEAR, maps, 1, 0.0, out)
     v, u = np.meshgrid(np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 33), indexing="ij")
     places = [18.0 + 2.0 * u + 14.0 * v, 25.0 + 20.0 * u + 3.0 * v]
@@ -281,13 +249,15 @@ def planar_array(wall: Wall | None) -> list[Camera]:
 
 @pytest.mark.slow
 def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
-    """The published method equals exact refocusing where shifts are whole numbers. On such planes,
-    both agree up to the method's bilinear first step."""
+    """Where shifts are whole numbers, up to the published method's bilinear first step."""
     rig, step = planar_array(None), 0.06 * 342.0 / (60.0 + 0.06)  # one voxel between neighbours
     grid = Grid((-1.0, 4.0, 42.0 - step), (0.06, 0.06, step), (3, 41, 57))
     places = np.array([[-0.4, 4.7, 42.0 - step], [0.2, 5.0, 42.0], [1.1, 5.4, 42.0 + step]])
-    images = np.stack([sum(spot(*pixel) for pixel in camera.project(places)[0]) for camera in rig])
-    light = images.astype(np.float32)
+    rows, columns = np.mgrid[0:110, 0:140]
+    light = np.zeros((5, 110, 140), dtype=np.float32)
+    for image, camera in zip(light, rig, strict=True):
+        for column, row in camera.project(places)[0]:
+            image += np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / 4.0)
     shifted, exact = refocus_by_shifts(light, rig, grid), refocus_sum(light, rig, grid) / 5.0
     assert np.abs(shifted - exact).max() < 0.12
     for plane, place in enumerate(places):

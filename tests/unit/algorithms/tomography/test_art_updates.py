@@ -1,5 +1,4 @@
-"""Corrections of tomography, each against its formula with a dense W. Also their common properties:
-saturation, residuals and the stop rule."""
+"""Corrections of tomography, each against its formula with a dense W."""
 
 from collections.abc import Callable
 
@@ -28,13 +27,13 @@ from tests.unit.algorithms.tomography.test_projection_operator import (
 Step = Callable[[art_updates.Iterate, art_updates.RecordedLight], float]
 
 
-def sart_step(state: art_updates.Iterate, measured: art_updates.RecordedLight) -> float:
-    return art_updates.sart(state, measured, state.lines.forward(np.ones_like(state.values)), 0.8)
+def lengths_of(state: art_updates.Iterate) -> F32:
+    return state.lines.forward(np.ones_like(state.values))
 
 
 STEPS: dict[str, Step] = {
     "smart": lambda state, measured: art_updates.smart(state, measured, 0.9),
-    "sart": sart_step,
+    "sart": lambda state, measured: art_updates.sart(state, measured, lengths_of(state), 0.8),
     "block_mart": lambda state, measured: art_updates.block_mart(state, measured, 0.7),
     "mart": lambda state, measured: art_updates.mart(state, measured, 0.9),
 }
@@ -43,8 +42,7 @@ NOWHERE = np.zeros(WHITE.shape, dtype=np.bool_)
 
 
 def matrices(lines: ProjectionOperator) -> F64:
-    """Return W (camera, pixel, voxel), column by column. By one thread: for one voxel, waiting for
-    the other threads takes longer."""
+    """W (camera, pixel, voxel), column by column, by one thread, which is faster here."""
     unit, most = np.eye(len(lines.support), dtype=np.float32), numba.get_num_threads()
     numba.set_num_threads(1)
     columns = [lines.forward(row).reshape(len(lines.cameras), -1) for row in unit]
@@ -81,15 +79,13 @@ def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
         missing = np.divide(p - cast, lengths, out=np.zeros_like(p), where=lengths > 0.0)
         return np.asarray(np.maximum(values + 0.8 * np.tensordot(missing, w, 2) / seen, 0.0))
     for camera, image in zip(w, p, strict=True):
-        by_camera = block_by_formula if name == "block_mart" else mart_by_formula
-        values = by_camera(camera, image, values)
+        if name == "mart":
+            values = mart_by_formula(camera, image, values)
+            continue
+        cast = camera @ values
+        ratio = np.divide(image, cast, out=np.ones_like(image), where=cast > 0.0)
+        values = values * np.exp(0.7 * camera.T @ np.log(ratio))
     return values
-
-
-def block_by_formula(w: F64, p: F64, values: F64) -> F64:
-    cast = w @ values
-    ratio = np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)
-    return np.asarray(values * np.exp(0.7 * w.T @ np.log(ratio)))
 
 
 def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
@@ -103,8 +99,7 @@ def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("footprint", [BILINEAR, BLOB])
-@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize(("name", "footprint"), [*zip(STEPS, [BLOB, BILINEAR] * 2, strict=True)])
 def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
     state = make_state(footprint)
     measured = recorded(state, 2)
@@ -165,7 +160,8 @@ def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
 @pytest.mark.parametrize("name", STEPS)
 def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     state = make_state(every=9)
-    light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(art_updates.DARKEST))
+    bright = np.where(np.arange(len(state.values)) % 7 == 0, np.float32(1.0), np.float32(1e-3))
+    light = np.maximum(state.lines.forward(bright), np.float32(art_updates.DARKEST))
     measured = art_updates.RecordedLight(light, NOWHERE)
     residuals = list(
         art_updates.iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name)
@@ -173,11 +169,6 @@ def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     assert len(residuals) == 40
     assert (np.diff(residuals[:10]) < 0.0).all()
     assert residuals[-1] < 0.1 * residuals[0]
-
-
-def recorded_values(state: art_updates.Iterate) -> F32:
-    """Values that cast what is recorded: a few bright voxels in the dark."""
-    return np.where(np.arange(len(state.values)) % 7 == 0, np.float32(1.0), np.float32(1e-3))
 
 
 def test_iteration_stops_when_little_changes() -> None:
@@ -189,10 +180,8 @@ def test_iteration_stops_when_little_changes() -> None:
 
 @pytest.mark.parametrize("name", STEPS)
 def test_black_pixels_leave_no_light_but_finite_values(name: str) -> None:
-    state, measured = (
-        make_state(),
-        art_updates.RecordedLight(np.float32(art_updates.DARKEST) * WHITE, NOWHERE),
-    )
+    state, black = make_state(), np.float32(art_updates.DARKEST) * WHITE
+    measured = art_updates.RecordedLight(black, NOWHERE)
     for _ in range(5):
         STEPS[name](state, measured)
     assert np.isfinite(state.values).all()
@@ -201,8 +190,7 @@ def test_black_pixels_leave_no_light_but_finite_values(name: str) -> None:
 
 @pytest.mark.slow
 def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
-    """The last camera's image does not change voxels outside its view. It changes the others less,
-    the more cameras see them."""
+    """The last camera changes voxels less, the more cameras see them."""
     state = make_state(every=1)
     lines = state.lines
     counts, last = np.rint(lines.adjoint(WHITE)), np.rint(lines.adjoint(WHITE[2:], [2])) > 0.0

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from sabench.algorithms.velocimetry import find_sheet, light_in_sheet
 from sabench.algorithms.velocimetry.windows import Windows, by_shifts
-from sabench.api import Camera, Grid, ImagePair, InputError, Velocity
+from sabench.api import Camera, Grid, ImagePair, Velocity
 from sabench.api.make import make_algorithm
 from sabench.geometry.grid import gradient, vorticity
 from sabench.geometry.rigid_motion import frame_of_normal, rotation_matrices
@@ -24,6 +24,7 @@ from tests.helpers.light_sheets import (
     image_pair,
     tank_camera,
 )
+from tests.helpers.refusals import refused
 from tests.helpers.small_particles import rotate_cameras
 
 BOUND_PX = 0.1  # rms error of window correlation: M. Raffel et al., Particle Image Velocimetry
@@ -49,6 +50,10 @@ def errors_px(field: Velocity, motion: Motion, pixel_mm: float) -> F64:
     return np.asarray(away[field.valid][:, :2])
 
 
+def uniform(*move: float) -> Motion:
+    return lambda points: np.tile(move, (len(points), 1))
+
+
 def rms(errors: F64) -> float:
     return float(np.sqrt((errors**2).mean()))
 
@@ -56,7 +61,7 @@ def rms(errors: F64) -> float:
 @pytest.mark.parametrize("normal", NORMALS)
 def test_uniform_flow_is_recovered_in_any_plane(camera: Camera, normal: F64) -> None:
     move = np.array([0.147, -0.109, 0.0]) @ frame_of_normal(normal)  # 2.3 and -1.7 pixels
-    motion = lambda points: np.tile(move, (len(points), 1))  # noqa: E731
+    motion = uniform(*move)
     field = solved(image_pair((camera,), motion, normal), normal)
     assert field.plane_axes is not None
     assert_allclose(field.axes[2], normal, atol=1e-9)
@@ -83,8 +88,7 @@ def test_a_rotation_is_recovered_in_any_plane(camera: Camera, normal: F64) -> No
 
 
 def test_without_its_wall_a_camera_shows_another_scale(camera: Camera) -> None:
-    motion = lambda points: np.tile([0.14, 0.0, 0.0], (len(points), 1))  # noqa: E731
-    case = image_pair((camera,), motion)
+    case = image_pair((camera,), uniform(0.14, 0.0, 0.0))
     bare = replace(camera, wall=None)
     frames = [replace(one, cameras=(bare,)) for one in (case.first, case.second)]
     dry = ImagePair(frames[0], frames[1], INTERVAL_S)
@@ -95,12 +99,10 @@ def test_without_its_wall_a_camera_shows_another_scale(camera: Camera) -> None:
 
 @pytest.mark.slow
 def test_motion_across_the_sheet_costs_pairs(camera: Camera) -> None:
-    """The correlation falls as the share of particles that stay in the light. Source: R. D. Keane
-    and R. J. Adrian, Appl. Sci. Res. 49 (1992) 191-215: F_O = 1 - |dz| / t."""
+    """F_O = 1 - |dz| / t: R. D. Keane and R. J. Adrian, Appl. Sci. Res. 49 (1992) 191-215."""
     heights, valid = [], []
     for share in (0.0, 0.5, 1.5):
-        move = share * 0.5 * ALONG_Z
-        case = image_pair((camera,), lambda points, m=move: np.tile(m, (len(points), 1)))  # type: ignore[misc]
+        case = image_pair((camera,), uniform(*(share * 0.5 * ALONG_Z)))
         sheet = find_sheet((camera,), GRID, (0.0, 0.0, 131.5), (0.0, 0.0, 1.0))
         first, second = (light_in_sheet(one, sheet, 64) for one in (case.first, case.second))
         windows = Windows.over((1, *sheet.seen.shape), (1, 32, 32), 0.5)
@@ -112,7 +114,7 @@ def test_motion_across_the_sheet_costs_pairs(camera: Camera) -> None:
 
 
 def test_a_background_that_stands_still_does_not_count(camera: Camera) -> None:
-    motion = lambda points: np.tile([0.147, -0.109, 0.0], (len(points), 1))  # noqa: E731
+    motion = uniform(0.147, -0.109, 0.0)
     case = image_pair((camera,), motion)
     columns = np.arange(camera.columns) / camera.columns
     glow = (300.0 + 500.0 * columns).astype(np.uint16)
@@ -143,17 +145,17 @@ def test_of_several_cameras_the_squarest_or_the_named_one_is_taken(camera: Camer
     assert find_sheet(pair, GRID, point, normal).camera == 1
     assert find_sheet(pair[::-1], GRID, point, normal).camera == 0
     assert find_sheet(pair, GRID, point, normal, "left").camera == 0
-    with pytest.raises(InputError, match="camera: expected one of left, front, got right"):
+    with refused("camera", "left", "front", "right"):
         find_sheet(pair, GRID, point, normal, "right")
 
 
 def test_a_camera_that_does_not_see_the_sheet_declines(camera: Camera) -> None:
     beyond = Grid((300.0, 0.0, 126.6), (0.2, 0.2, 0.2), (50, 64, 80))
-    with pytest.raises(DeclinedError, match="camera_00 sees no point of the light sheet"):
+    with refused("camera_00", kind=DeclinedError):
         find_sheet((camera,), beyond, (305.0, 5.0, 131.5), (0.0, 0.0, 1.0))
-    with pytest.raises(DeclinedError, match="none of 2 cameras sees a point of the light sheet"):
+    with refused("2", kind=DeclinedError):
         find_sheet((camera, camera), beyond, (305.0, 5.0, 131.5), (0.0, 0.0, 1.0))
-    with pytest.raises(DeclinedError, match=r"camera_00 sees the light sheet edge-on, at \d deg"):
+    with refused("camera_00", kind=DeclinedError):
         find_sheet((camera,), GRID, (0.0, 0.0, 131.5), (1.0, 0.0, 0.0))
 
 

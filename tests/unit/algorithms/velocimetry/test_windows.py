@@ -1,5 +1,4 @@
-"""Window correlation. Its kernels against other programs, its vectors against known
-displacements."""
+"""Kernels of window correlation against other programs, vectors against known flows."""
 
 from typing import Any
 
@@ -24,8 +23,8 @@ from sabench.geometry.grid import Grid, gradient, inner, synthesise
 from sabench.metrics.velocity_error import precision_interval, response
 from sabench.plugins import load
 from sabench.utils.arrays import F32, F64
-from sabench.utils.errors import InputError
 from sabench.worlds.advection import advect
+from tests.helpers.refusals import refused
 
 GRID = Grid((-4.0, -4.0, -2.0), (0.05, 0.05, 0.1), (40, 160, 160))
 WINDOW = (16, 32, 32)
@@ -88,8 +87,7 @@ def test_moved_volumes_are_scipy_s() -> None:
 
 
 def _continued(field: F64, at: list[F64]) -> F64:
-    """Interpolate displacements (z, y, x) at positions on a lattice. Linear beyond the lattice,
-    which is continued by hand."""
+    """Displacements (z, y, x) at positions on a lattice, which is continued linearly."""
     room = 4
     for axis in range(3):
         before, second, other, after = (np.take(field, [n], axis=axis) for n in (0, 1, -2, -1))
@@ -120,26 +118,19 @@ def test_small_shifts_are_found_to_parts_of_a_voxel() -> None:
     peaks = by_shifts(volume(start), moved, windows, (1, 1, 1))
     assert np.abs(peaks.shift.mean(axis=(0, 1, 2)) - shift).max() < 0.04
     assert peaks.height.min() > 0.7
-
-
-def test_the_unit_of_light_does_not_matter() -> None:
-    """Below which a window counts as empty is a part of the mean, not a number."""
-    pair = volume(particles()), volume(particles() + 0.3 * np.asarray(GRID.voxel_mm))
-    windows = Windows.over(GRID.shape, WINDOW, 0.5)
-    plain = by_shifts(*pair, windows, (1, 1, 1))
-    dim = np.float32(2.0**-20)
-    faint = by_shifts(dim * pair[0], dim * pair[1], windows, (1, 1, 1))
-    assert_allclose(faint.shift, plain.shift, atol=1e-6)
-    assert_allclose(faint.height, plain.height, atol=1e-6)
+    dim = np.float32(2.0**-20)  # a window counts as empty below a part of the mean
+    faint = by_shifts(dim * volume(start), dim * moved, windows, (1, 1, 1))
+    assert_allclose(faint.shift, peaks.shift, atol=1e-6)
+    assert_allclose(faint.height, peaks.height, atol=1e-6)
 
 
 def test_large_shifts_are_found_by_spectra() -> None:
     start, shift = particles(), np.array([7.2, -9.6, 3.3])
     windows = Windows.over(GRID.shape, WINDOW, 0.5)
-    peaks = by_spectra(volume(start), volume(start + shift * np.asarray(GRID.voxel_mm)), windows)
+    moved = volume(start + shift * np.asarray(GRID.voxel_mm))
+    peaks: Any = by_spectra(volume(start), moved, windows)
     good = np.abs(peaks.shift - shift).max(axis=-1) < 0.5
     assert good.mean() > 0.9
-    assert peaks.ratio is not None
     assert np.median(peaks.ratio[good]) > 1.3
 
 
@@ -148,7 +139,6 @@ def test_large_shifts_are_found_by_spectra() -> None:
     ("name", "parameters"),
     [
         ("linear_flow", {"velocity_mm_s": (0.21, -0.13, 0.17)}),
-        ("linear_flow", {"gradient_1_s": ((0.0, -0.05, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))}),
         ("linear_flow", {"gradient_1_s": ((0.0, 0.06, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))}),
         ("lamb_oseen_vortex", {"core_mm": 2.0, "circulation_mm2_s": 3.0}),
     ],
@@ -193,17 +183,12 @@ def test_windows_without_signal_are_invalid_and_finite() -> None:
     assert np.isfinite(field.velocity_mm_s).all()
 
 
-@pytest.mark.parametrize(
-    ("parameters", "sentence"),
-    [
-        ({"window": (320, 32, 16)}, "window: expected one that fits into the volume of 160 x 160"),
-        ({"overlap": 0.7}, "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole"),
-    ],
-)
-def test_impossible_windows_are_named(parameters: dict[str, Any], sentence: str) -> None:
+def test_impossible_windows_are_named() -> None:
     case, _ = pair_of("linear_flow")
-    with pytest.raises(InputError, match=f"^{sentence}"):
-        solved(case, **parameters)
+    with refused("window", "160 x 160"):
+        solved(case, window=(320, 32, 16))
+    with refused("overlap", "32 x 32 x 16"):
+        solved(case, overlap=0.7)
 
 
 def test_outliers_are_found_and_filled() -> None:
@@ -272,20 +257,13 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
 
 @pytest.mark.slow
 def test_weighted_windows_resolve_more() -> None:
-    """A Gaussian's weights see more of a wave than equal ones. The wave is twice as long as the
-    window."""
-    parameters = {
-        "along": (1.0, 0.0, 0.0),
-        "across": (0.0, 1.0, 0.0),
-        "wavelength_mm": 3.2,
-        "peak_mm_s": 0.05,
-    }
-    case, flow = pair_of("shear_wave", **parameters)
+    """Of a wave twice as long as the window."""
+    parameters = {"along": (1.0, 0.0, 0.0), "across": (0.0, 1.0, 0.0)}
+    case, flow = pair_of("shear_wave", wavelength_mm=3.2, peak_mm_s=0.05, **parameters)
     found = []
     for taper in (None, 0.25):
         field = solved(case, first_window=(32, 32, 16), passes=1, taper=taper)
-        exact = flow.velocity(field.positions_mm.reshape(-1, 3), 0.5).reshape(
-            field.velocity_mm_s.shape
-        )
-        found.append(response(field.velocity_mm_s[field.valid], exact[field.valid]))
+        valid = field.valid
+        exact = flow.velocity(field.positions_mm[valid], 0.5)
+        found.append(response(field.velocity_mm_s[valid], exact))
     assert 0.5 < found[0] < found[1] < 1.05

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -22,6 +23,7 @@ from sabench.utils.processes.program import (
     run_limited,
 )
 from sabench.utils.processes.python import Reply, Servers, run_code, start_python
+from tests.helpers.refusals import refused
 
 
 def program(folder: Path, body: str, name: str = "program") -> list[str]:
@@ -38,20 +40,13 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def test_time_and_memory_are_measured_from_outside(folder: Path) -> None:
-    cost = run_limited(
-        program(folder, "held = bytearray(150_000_000)\ntime.sleep(0.5)"), folder, Limits(), "p"
-    )
-    assert cost.seconds >= 0.5
-    assert 150.0 < cost.peak_mb < 400.0
-
-
-def test_memory_of_children_counts(folder: Path) -> None:
-    body = (
-        "child = subprocess.Popen([sys.executable, '-c', 'held = bytearray(120_000_000); import "
-        "time; time.sleep(0.6)'])\nchild.wait()"
-    )
-    assert run_limited(program(folder, body), folder, Limits(), "p").peak_mb > 120.0
+def test_time_and_memory_are_measured_from_outside_with_children(folder: Path) -> None:
+    body = "held = bytearray(150_000_000); import time; time.sleep(0.5)"
+    child = f"child = subprocess.Popen([sys.executable, '-c', {body!r}])\nchild.wait()"
+    for each in (body, child):
+        cost = run_limited(program(folder, each), folder, Limits(), "p")
+        assert cost.seconds >= 0.5
+        assert 150.0 < cost.peak_mb < 400.0
 
 
 def test_it_gets_a_clean_environment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,32 +72,32 @@ ENDLESS = "while True: print('x' * 1000, file=sys.stderr)"
 
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize(
-    ("body", "limits", "words"),
+    ("body", "limits", "key"),
     [
-        ("time.sleep(60)", Limits(time_s=0.4), "within 0.4 s, but it was still running"),
-        (HOLD, Limits(memory_mb=100.0), "at most 100 MB of memory"),
-        ("sys.exit('no such camera')", Limits(), "exit code 1; its last words: no such camera"),
-        ("print('only this')\nsys.exit(3)", Limits(), "exit code 3; its last words: only this"),
-        ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "signal SIGSEGV"),
-        (ONE_FILE, Limits(output_mb=1.0), "no file larger than 1 MB"),
-        (FILES, Limits(output_mb=1.0), "at most 1 MB of files"),
-        (ENDLESS, Limits(time_s=0.5), "still running; its last words: xxx"),
-        (CONTROLS, Limits(), "its last words: y"),
+        ("time.sleep(60)", Limits(time_s=0.4), "0.4 s"),
+        (HOLD, Limits(memory_mb=100.0), "100 MB"),
+        ("sys.exit('no such camera')", Limits(), "no such camera"),
+        ("print('only this')\nsys.exit(3)", Limits(), "only this"),
+        ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "SIGSEGV"),
+        (ONE_FILE, Limits(output_mb=1.0), "1 MB"),
+        (FILES, Limits(output_mb=1.0), "1 MB"),
+        (ENDLESS, Limits(time_s=0.5), "xxx"),
+        (CONTROLS, Limits(), "yyy"),
     ],
 )
-def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, words: str) -> None:
-    with pytest.raises(InputError, match=words) as caught:
+def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, key: str) -> None:
+    with refused(key) as caught:
         run_limited(program(folder, body), folder, limits, "p")
     assert str(caught.value).startswith("program p: ")
     assert str(caught.value).isprintable()
 
 
+def is_alive(pid: int) -> bool:
+    return psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie"
+
+
 def alive(folder: Path) -> list[int]:
-    return [
-        int(file.name)
-        for file in folder.glob("[0-9]*")
-        if psutil.pid_exists(int(file.name)) and psutil.Process(int(file.name)).status() != "zombie"
-    ]
+    return [pid for file in folder.glob("[0-9]*") if is_alive(pid := int(file.name))]
 
 
 DAEMON = """
@@ -139,7 +134,7 @@ def test_what_cannot_be_started(folder: Path) -> None:
     path = folder.parent / "no_program"
     path.write_text("neither a script nor a binary")
     path.chmod(0o755)
-    with pytest.raises(InputError, match=r"it cannot be started: Exec format error"):
+    with refused("p", "Exec format error"):
         run_limited([str(path)], folder, Limits(), "p")
 
 
@@ -147,7 +142,7 @@ def test_limits_must_be_positive() -> None:
     assert limits_of(None, None) is None
     assert limits_of(None, 5.0) == Limits(memory_mb=5.0)
     for bad in (0.0, -1.0, float("inf"), float("nan")):
-        with pytest.raises(InputError, match="time limit"):
+        with refused():
             limits_of(bad, None)
 
 
@@ -186,18 +181,18 @@ def test_a_killed_server_is_reported_and_replaced(servers: Servers) -> None:
     assert servers.receive() == Reply(2, 2)
 
 
-def test_half_an_answer_is_none(servers: Servers) -> None:
-    servers.running()
-    servers.request(1, "half")
-    assert servers.receive() == Reply(1, end="signal SIGKILL")
-
-
 def test_a_request_to_a_dead_server_raises_nothing(servers: Servers) -> None:
     servers.running()
     os.kill(servers.pids[0], signal.SIGKILL)
     time.sleep(0.1)
     servers.request(0, 1)
     assert servers.receive() == Reply(0, end="signal SIGKILL")
+
+
+def test_half_an_answer_is_none(servers: Servers) -> None:
+    servers.running()
+    servers.request(1, "half")
+    assert servers.receive() == Reply(1, end="signal SIGKILL")
 
 
 def test_children_ignore_interrupts_and_this_process_does_not() -> None:
@@ -214,9 +209,9 @@ def test_threads_and_modules_of_children() -> None:
 
 
 def test_code_that_fails_or_hangs_is_a_sentence() -> None:
-    with pytest.raises(InputError, match=r"^it: .* exit code 1; its last words: no$"):
+    with refused("it", "1", "no"):
         run_code("raise SystemExit('no')", "it", 60.0)
-    with pytest.raises(InputError, match=r"it: expected an end within 0.5 s"):
+    with refused("it", "0.5 s"):
         run_code("import time; time.sleep(60)", "it", 0.5)
 
 
@@ -224,7 +219,7 @@ def test_ends_have_names() -> None:
     names = [describe_end(code) for code in (0, 3, -6, -1000)]
     assert names == ["exit code 0", "exit code 3", "signal SIGABRT", "signal 1000"]
     check_end("it", 0, "")
-    with pytest.raises(InputError, match=r"^it: expected exit code 0, but .* exit code 2$"):
+    with refused("it", "2"):
         check_end("it", 2, "")
 
 
@@ -235,18 +230,14 @@ def test_the_last_line_is_printable() -> None:
 
 
 def test_a_tree_is_killed_whole() -> None:
-    code = (
-        "import subprocess, sys, time\n"
-        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
-        "print(child.pid, flush=True)\ntime.sleep(60)"
-    )
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
-    assert process.stdout is not None
+    start, wait = "subprocess.Popen([sys.executable, '-c', wait])", "import time; time.sleep(60)"
+    code = f"import subprocess, sys; wait = {wait!r}; print({start}.pid, flush=True); exec(wait)"
+    process: Any = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
     with process.stdout:
         below = int(process.stdout.readline())
     kill_tree(process.pid)
     assert process.wait() == -signal.SIGKILL
     end = time.monotonic() + 5.0
-    while psutil.pid_exists(below) and psutil.Process(below).status() != "zombie":
+    while is_alive(below):
         assert time.monotonic() < end
         time.sleep(0.02)

@@ -15,13 +15,14 @@ from sabench.api import Flow, Generator
 from sabench.dataset.verification import verify
 from sabench.geometry.rigid_motion import Domain
 from sabench.plugins import load
-from sabench.scenes import Scene, parse_scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.worlds.library.array_files import Array, read_arrays, speed_mm_s
-from sabench.worlds.tracers import Motion, flow_of
+from sabench.worlds.tracers import Motion, require_flow
 from tests.conftest import ROOT
+from tests.helpers.refusals import refused
 from tests.unit.worlds.test_tracers import moving_scene
 
 SIDE = 0.06  # m
@@ -35,8 +36,7 @@ def cellular(points: F64) -> F64:
 
 
 def lattice(count: int = 40) -> Arrays:
-    """Return the field on a lattice as (z, y, x) with other spacings along each axis. The lattice
-    reaches a little further than the field's period."""
+    """The field as (z, y, x) over more than its period, with a spacing of each axis."""
     axes = [np.linspace(-0.6 * SIDE, 0.6 * SIDE, count + extra) for extra in (0, 3, 6)]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
     values = cellular(np.stack([x, y, z], axis=-1).reshape(-1, 3)).reshape(*x.shape, 3)
@@ -56,11 +56,10 @@ def as_hdf5(path: Path, arrays: Arrays) -> Path:
 def as_netcdf(path: Path, arrays: Arrays) -> Path:
     with netcdf_file(path, "w") as file:
         for name, (values, unit) in arrays.items():
-            for number, count in enumerate(values.shape):
-                file.createDimension(f"{name}_{number}", count)
-            variable = file.createVariable(
-                name, "f8", tuple(f"{name}_{number}" for number in range(values.ndim))
-            )
+            sides = tuple(f"{name}_{number}" for number in range(values.ndim))
+            for side, count in zip(sides, values.shape, strict=True):
+                file.createDimension(side, count)
+            variable = file.createVariable(name, "f8", sides)
             variable[:] = values
             variable.units = unit
     return path
@@ -73,13 +72,11 @@ def as_vtk(path: Path, arrays: Arrays) -> Path:
 
     grid: Any = vtkRectilinearGrid()
     grid.SetDimensions(*(len(arrays[name][0]) for name in "xyz"))
-    for name, setter in zip(
-        "xyz", (grid.SetXCoordinates, grid.SetYCoordinates, grid.SetZCoordinates), strict=True
-    ):
+    for name in "xyz":
+        setter = getattr(grid, f"Set{name.upper()}Coordinates")
         setter(numpy_to_vtk(arrays[name][0], deep=1))
-    velocity = numpy_to_vtk(
-        np.stack([arrays[name][0] for name in "uvw"], axis=-1).reshape(-1, 3), deep=1
-    )
+    values = np.stack([arrays[name][0] for name in "uvw"], axis=-1).reshape(-1, 3)
+    velocity = numpy_to_vtk(values, deep=1)
     velocity.SetName("velocity")
     grid.GetPointData().AddArray(velocity)
     writer: Any = vtkXMLRectilinearGridWriter()
@@ -117,34 +114,24 @@ def test_a_field_is_the_same_from_every_format(
     slopes, step = field.gradient(points(), 0.0), 1e-4
     for axis in range(3):
         move = step * np.eye(3)[axis]
-        difference = (
-            field.velocity(points() + move, 0.0) - field.velocity(points() - move, 0.0)
-        ) / (2.0 * step)
-        assert_allclose(slopes[..., axis], difference, atol=1e-3)
+        ends = [field.velocity(points() + by, 0.0) for by in (move, -move)]
+        assert_allclose(slopes[..., axis], (ends[0] - ends[1]) / (2.0 * step), atol=1e-3)
 
 
 @pytest.mark.parametrize(
-    "word", ["m/s", "m s-1", "m s^-1", "m.s^-1", "m*s**-1", " m / s ", "metres per second", "mm/ms"]
+    "word", ["m s-1", "m.s^-1", "m*s**-1", " m / s ", "metres per second", "mm/ms"]
 )
-def test_speeds_are_written_in_many_ways(word: str) -> None:
+def test_speeds_are_written_in_many_ways_but_as_no_number(word: str) -> None:
     assert speed_mm_s(None, Array(np.zeros(1), word), "u", "flow.speed") == pytest.approx(1e3)
-
-
-def test_a_number_is_no_unit_of_a_file() -> None:
-    with pytest.raises(InputError, match="u: expected a unit like"):
-        speed_mm_s(None, Array(np.zeros(1), "1000 m/s"), "u", "flow.speed")
+    with refused("u"):
+        speed_mm_s(None, Array(np.zeros(1), f"1000 {word}"), "u", "flow.speed")
 
 
 def test_axes_may_stand_in_any_order_and_units_be_given(tmp_path: Path) -> None:
     arrays = lattice()
     turned = arrays | {name: (np.transpose(arrays[name][0], (2, 1, 0)), None) for name in "uvw"}
-    field = field_of(
-        as_hdf5(tmp_path / "field.h5", turned),
-        order="xyz",
-        speed=500.0,
-        length="cm",
-        center_mm=[1.0, 2.0, 3.0],
-    )
+    units: dict[str, Any] = {"speed": 500.0, "length": "cm", "center_mm": [1.0, 2.0, 3.0]}
+    field = field_of(as_hdf5(tmp_path / "field.h5", turned), order="xyz", **units)
     there = 10.0 * points() / 1e3 + np.array([1.0, 2.0, 3.0])  # a metre is taken for a centimetre
     assert_allclose(field.velocity(there, 0.0), 500.0 * cellular(points() / 1e3), atol=0.3)
 
@@ -195,37 +182,34 @@ def swapped(arrays: Arrays) -> Arrays:
 
 
 @pytest.mark.parametrize(
-    ("make", "sentence"),
+    ("make", "key"),
     [
-        (broken(lambda arrays: without_unit(arrays, "y")), "field.h5: y: expected a unit"),
-        (broken(lambda arrays: without_unit(arrays, "w")), "field.h5: w: expected a unit"),
-        (changed_x(lambda x: x, "furlong"), "x: expected a unit like km"),
-        (broken(with_nan), "field.h5: v: expected finite numbers"),
-        (broken(swapped), "u: expected the shape"),
-        (broken(lambda _: lattice(3) | {"x": (np.arange(3.0), "m")}), "x: expected 4 coordinates"),
-        (changed_x(lambda x: x[::-1]), "x: expected rising coordinates"),
-        (broken(lambda arrays: arrays, axes=("x", "y", "depth")), "field.h5: expected 'depth'"),
-        (changed_x(lambda x: x**3, periodic="x"), "x: expected even spacing along an axis"),
-        (lambda folder: field_of(folder / "none.h5"), r"none.h5: expected a file, found none"),
-        (no_field("field.h5"), r"field.h5: expected an intact HDF5 file"),
-        (no_field("field.vti"), "field.vti: expected image data or a rectilinear grid"),
-        (no_field("field.py"), r"field.py: expected a file that ends in"),
+        (broken(lambda arrays: without_unit(arrays, "y")), "field.h5: y: "),
+        (broken(lambda arrays: without_unit(arrays, "w")), "field.h5: w: "),
+        (changed_x(lambda x: x, "furlong"), "furlong"),
+        (broken(with_nan), "field.h5: v: "),
+        (broken(swapped), "u: "),
+        (broken(lambda _: lattice(3) | {"x": (np.arange(3.0), "m")}), "x: "),
+        (changed_x(lambda x: x[::-1]), "x: "),
+        (broken(lambda arrays: arrays, axes=("x", "y", "depth")), "'depth'"),
+        (changed_x(lambda x: x**3, periodic="x"), "x: "),
+        (lambda folder: field_of(folder / "none.h5"), "none.h5"),
+        (no_field("field.h5"), "field.h5"),
+        (no_field("field.vti"), "field.vti"),
+        (no_field("field.py"), "field.py"),
     ],
 )
-def test_bad_fields_are_named(make: Callable[[Path], Flow], sentence: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=sentence):
+def test_bad_fields_are_named(make: Callable[[Path], Flow], key: str, tmp_path: Path) -> None:
+    with refused(key):
         make(tmp_path).velocity(points(), 0.0)
 
 
-def test_a_field_must_cover_the_volume(tmp_path: Path) -> None:
+def test_broken_netcdf_and_fields_that_do_not_cover_the_volume_are_refused(tmp_path: Path) -> None:
     field = field_of(as_hdf5(tmp_path / "field.h5", lattice()))
-    with pytest.raises(InputError, match="expected a field over the whole volume"):
+    with refused("field.h5"):
         field.check(Domain((0.0, 0.0, 0.0), (100.0, 10.0, 10.0), 100))
-
-
-def test_broken_netcdf_is_named(tmp_path: Path) -> None:
     (tmp_path / "field.nc").write_bytes(b"CDF\x01" + b"\xff" * 40)
-    with pytest.raises(InputError, match=r"field.nc: expected an intact NetCDF file"):
+    with refused("field.nc"):
         read_arrays(tmp_path / "field.nc", ["x"])
 
 
@@ -237,16 +221,13 @@ def path_of(number: float, time: F64) -> F64:
 
 
 def as_csv(path: Path, header: str, rows: Any) -> Path:
-    path.write_text(
-        "\n".join([header, *(",".join(f"{value:.17g}" for value in row) for row in rows)]),
-        encoding="utf-8",
-    )
+    lines = (",".join(f"{value:.17g}" for value in row) for row in rows)
+    path.write_text("\n".join([header, *lines]), encoding="utf-8")
     return path
 
 
 def tracks_file(folder: Path, unit: str = " [mm]") -> Path:
-    """Write three trajectories at 20 frames a second, in no order. The last one begins later and
-    ends earlier."""
+    """Three trajectories at 20 frames a second, in no order; the last is the shortest."""
     rows = [
         (number, frame, *path_of(number, np.array(frame / 20.0)))
         for number in range(3)
@@ -262,7 +243,7 @@ def tracks_of(path: Path, **parameters: Any) -> Generator:
     return made
 
 
-@pytest.mark.parametrize("time", [0.0, 0.05, 0.13, 0.25, 0.4])
+@pytest.mark.parametrize("time", [0.0, 0.13, 0.25, 0.4])
 def test_particles_stay_on_their_tracks(time: float, tmp_path: Path) -> None:
     tracks = tracks_of(tracks_file(tmp_path), seconds=0.05)
     seen = tracks.particles(DOMAIN, 0, 0, time)
@@ -270,7 +251,7 @@ def test_particles_stay_on_their_tracks(time: float, tmp_path: Path) -> None:
     for number, place, speed in zip(seen.id, seen.position_mm, seen.velocity_mm_s, strict=True):
         assert_allclose(place, path_of(float(number), np.array(time)), atol=1e-12)
         assert_allclose(speed, [10.0, -10.0 * time, 0.0], atol=1e-10)
-    with pytest.raises(InputError, match=r"expected a trajectory in the volume in frame 7"):
+    with refused("frame 7"):
         tracks.particles(DOMAIN, 0, 7, 0.5)
 
 
@@ -288,29 +269,26 @@ def test_tracks_with_velocities_and_diameters(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("header", "rows", "parameters", "sentence"),
+    ("header", "rows", "units", "key"),
     [
-        (XYZ, [(1, 0, 0, 0, 0)], {"seconds": 1.0}, "tracks.csv: x: expected a unit"),
-        (XYZ, [(1, 0, 0, 0, 0)], {"length": "mm"}, "frame: expected a unit"),
-        ("particle,frame,x,y", [(1, 0, 0, 0)], {}, "tracks.csv: expected 'z' in it"),
-        (XYZ, [(1, 0, 0, 0, np.nan)], {}, "z: expected finite numbers"),
-        (XYZ, [(1.5, 0, 0, 0, 0)], UNITS, "particle: expected whole numbers"),
-        (XYZ, [(1, 0, 0, 0, 0)] * 2, UNITS, "got two of trajectory 1 at 0 s"),
-        (XYZ, [], UNITS, "tracks.csv: expected numbers below a line of names"),
+        (XYZ, [(1, 0, 0, 0, 0)], {"seconds": 1.0}, "tracks.csv: x: "),
+        (XYZ, [(1, 0, 0, 0, 0)], {"length": "mm"}, "frame: "),
+        ("particle,frame,x,y", [(1, 0, 0, 0)], {}, "tracks.csv"),
+        (XYZ, [(1, 0, 0, 0, np.nan)], {}, "z: "),
+        (XYZ, [(1.5, 0, 0, 0, 0)], UNITS, "particle: "),
+        (XYZ, [(1, 0, 0, 0, 0)] * 2, UNITS, "trajectory 1 at 0 s"),
+        (XYZ, [], UNITS, "tracks.csv"),
     ],
 )
-def test_bad_tracks_are_named(
-    header: str, rows: Any, parameters: dict[str, Any], sentence: str, tmp_path: Path
-) -> None:
-    tracks = tracks_of(as_csv(tmp_path / "tracks.csv", header, rows), **parameters)
-    with pytest.raises(InputError, match=sentence):
+def test_bad_tracks_are_named(header: str, rows: Any, units: Any, key: str, tmp_path: Path) -> None:
+    tracks = tracks_of(as_csv(tmp_path / "tracks.csv", header, rows), **units)
+    with refused(key):
         tracks.particles(DOMAIN, 0, 0, 0.0)
 
 
-def field_scene(path: Path, **flow: Any) -> Scene:
-    return moving_scene(
-        frames=2, interval_s=0.001, flow={"generator": "from_field", "file": str(path), **flow}
-    )
+def field_scene(path: Path) -> Scene:
+    table = {"generator": "from_field", "file": str(path)}
+    return moving_scene(frames=2, interval_s=0.001, flow=table)
 
 
 def test_a_data_set_keeps_its_field(tmp_path: Path) -> None:
@@ -319,8 +297,7 @@ def test_a_data_set_keeps_its_field(tmp_path: Path) -> None:
     data = generate(scene, tmp_path / "data", seed=1, backend="splat")
     assert field_scene(Path(shutil.copy(original, tmp_path / "copy.h5"))).hash == scene.hash
     original.unlink()
-    flow, particles = flow_of(data.scene), data.particles(1)
-    assert flow is not None
+    flow, particles = require_flow(data.scene), data.particles(1)
     assert_allclose(flow.velocity(particles.position_mm, 0.0), particles.velocity_mm_s)
     assert not verify(data.root)
     own, name = data.root / "scene.toml", data.manifest.scene
@@ -332,7 +309,7 @@ def test_a_changed_file_is_named(tmp_path: Path) -> None:
     path = as_hdf5(tmp_path / "field.h5", lattice())
     table = field_scene(path).to_dict()
     as_hdf5(path, lattice(30))
-    with pytest.raises(InputError, match=r"flow.sha256: expected [0-9a-f]{12}"):
+    with pytest.raises(InputError, match=r"flow\.sha256"):
         parse_scene(table, "moving")
 
 
@@ -351,9 +328,7 @@ def test_tracks_become_frames(tmp_path: Path) -> None:
 
 
 def test_what_trackpy_linked_is_read() -> None:
-    """Trajectories that trackpy linked are read. 25 particles in five frames 0.1 s apart that all
-    move by 0.2 mm along X, and increasingly fast along Y, as trackpy 0.7 wrote them: rows of a
-    frame in no order, and a column without a name."""
+    """25 particles that move by 0.2 mm along X, and increasingly fast along Y, by trackpy 0.7."""
     path = ROOT / "tests/data/trackpy-0.7.csv"
     tracks = tracks_of(path, length="mm", seconds=0.1)
     domain = Domain((0.0, 0.0, 30.0), (30.0, 30.0, 10.0), 100)
@@ -363,9 +338,8 @@ def test_what_trackpy_linked_is_read() -> None:
         moved = particles.position_mm[order] - frames[0].position_mm[first]
         expected = np.tile([0.2 * frame, 0.05 * frame * (frame - 1), 0.0], (25, 1))
         assert_allclose(moved, expected, atol=2e-5)
-        assert_allclose(
-            particles.velocity_mm_s, np.tile([2.0, frame - 0.5, 0.0], (25, 1)), atol=1e-3
-        )
+        speeds = np.tile([2.0, frame - 0.5, 0.0], (25, 1))
+        assert_allclose(particles.velocity_mm_s, speeds, atol=1e-3)
 
 
 def series_of(folder: Path, head: str = "") -> Path:
@@ -396,7 +370,7 @@ def test_a_series_of_files_is_one(head: str, tmp_path: Path) -> None:
         assert_array_equal(seen.id[order], expected.id[other])
         assert_allclose(seen.position_mm[order], expected.position_mm[other], atol=1e-9)
     (tmp_path / "series" / "part_10.dat").write_text(head + "1 2\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"part_10\.dat: expected '4' in it, got '1', '2'"):
+    with refused("part_10.dat", "'4'", "'1', '2'"):
         tracks_of(path, seconds=0.05, skip_lines=skip, **COLUMNS).particles(DOMAIN, 0, 0, 0.1)
 
 
@@ -404,7 +378,7 @@ def test_a_share_of_the_tracks_is_kept_in_all_frames(tmp_path: Path) -> None:
     rows = [
         (number, frame, number / 100.0, 0.0, frame) for number in range(1000) for frame in (0, 1)
     ]
-    path = as_csv(tmp_path / "tracks.csv", "particle,frame,x,y,z", rows)
+    path = as_csv(tmp_path / "tracks.csv", XYZ, rows)
     tracks = tracks_of(path, length="mm", seconds=1.0, share=0.3)
     first, later = (tracks.particles(DOMAIN, 5, frame, float(frame)) for frame in (0, 1))
     assert_array_equal(first.id, later.id)
@@ -413,18 +387,15 @@ def test_a_share_of_the_tracks_is_kept_in_all_frames(tmp_path: Path) -> None:
 
 
 def test_a_data_set_keeps_a_series(tmp_path: Path) -> None:
-    from sabench.scenes import load_scene
-
     path = series_of(tmp_path / "series")
     scene = tracks_scene(2, file=str(path), **COLUMNS)
     first = generate(scene, tmp_path / "one", seed=1, backend="splat")
     assert verify(first.root) == []
     assert len(list((first.root / "given/particles").iterdir())) == 11
     shutil.rmtree(tmp_path / "series")
-    again = generate(
-        load_scene(first.root / "scene.toml"), tmp_path / "two", seed=1, backend="splat"
-    )
+    own = load_scene(first.root / "scene.toml")
+    again = generate(own, tmp_path / "two", seed=1, backend="splat")
     assert again.content_hash == first.content_hash
     (first.root / "given/particles/part_3.dat").unlink()
-    with pytest.raises(InputError, match="the file has changed"):
+    with pytest.raises(InputError, match="sha256"):
         load_scene(first.root / "scene.toml")

@@ -9,13 +9,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
 from scipy.spatial import cKDTree
 
+from sabench.api.make import generator_of
 from sabench.api.truth import Solid
-from sabench.plugins import load
 from sabench.scenes import build_rig
 from sabench.simulation.frames import Frames
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
-from sabench.utils.validation import validate
 from sabench.worlds.library.implicit_surfaces import (
     capsules,
     largest_part,
@@ -23,11 +21,10 @@ from sabench.worlds.library.implicit_surfaces import (
     surface_of,
 )
 from tests.helpers.bubble_scenes import small
+from tests.helpers.refusals import refused
 
 BODIES: list[tuple[str, dict[str, Any]]] = [
-    ("hydrofoil", {"digits": "2412", "points": 40}),
     ("hydrofoil", {"digits": "0030", "points": 8}),
-    ("propeller", {"step_mm": 0.5}),
     ("propeller", {"step_mm": 0.5, "blades": 3, "pitch_mm": -20.0, "diameter_mm": 25.0}),
     ("reef", {"step_mm": 0.6}),
     ("reef", {"step_mm": 0.6, "tunnels": 0, "size_mm": [20.0, 30.0, 24.0]}),
@@ -35,14 +32,12 @@ BODIES: list[tuple[str, dict[str, Any]]] = [
 
 
 def body(name: str, seed: int = 1, **parameters: object) -> Solid:
-    plugin = load("generators", name)
-    made: Solid = plugin(validate(plugin.Parameters, parameters, name)).body(seed)
+    made: Solid = generator_of({"generator": name, **parameters}).body(seed)
     return made
 
 
 def volume(solid: Solid) -> float:
-    """Return the volume that a closed surface encloses, by Gauss's theorem. Negative if the surface
-    faces inwards."""
+    """What a closed surface encloses, by Gauss's theorem; negative if it faces inwards."""
     corners = solid.vertices_mm[solid.faces]
     return float(np.linalg.det(corners).sum() / 6.0)
 
@@ -63,14 +58,12 @@ def test_bodies_are_one_closed_surface(name: str, parameters: dict[str, Any]) ->
     made = body(name, **parameters)
     edges = np.concatenate([made.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
     assert len(np.unique(edges, axis=0)) == len(edges)  # every edge once ...
-    assert {tuple(edge) for edge in edges.tolist()} == {
-        tuple(edge) for edge in edges[:, ::-1].tolist()
-    }  # ... and once the other way round
+    there, back = ({*map(tuple, one.tolist())} for one in (edges, edges[:, ::-1]))
+    assert there == back  # ... and once the other way round
     assert volume(made) > 0.0
     assert len(largest_part(made).faces) == len(made.faces)
-    scene = small(
-        bubbles=None, solids=[{"generator": name, "place_mm": [0.0, 0.0, 60.0], **parameters}]
-    )
+    table = {"generator": name, "place_mm": [0.0, 0.0, 60.0], **parameters}
+    scene = small(bubbles=None, solids=[table])
     (placed,) = Frames(scene, build_rig(scene), 1).at(0).solids
     assert_array_equal(placed.faces, made.faces)
     assert_allclose(placed.vertices_mm, made.vertices_mm + np.array([0.0, 0.0, 60.0]))
@@ -119,8 +112,7 @@ def capsule(points: F64) -> F64:
 def test_surfaces_are_exact_to_the_second_order(
     function: Callable[[F64], F64], radius: float, inside: float, outside: float
 ) -> None:
-    """Triangles are off by at most 3/8 step^2 / radius, the height of an arc over a cell's
-    diagonal."""
+    """Triangles are off by at most 3/8 step^2 / radius: an arc's height over a cell's diagonal."""
     made = [surface_of(function, [-4.0, -3.0, -3.0], [4.0, 3.0, 3.0], step) for step in (0.3, 0.15)]
     for measure, exact in ((volume, np.pi * inside), (area, np.pi * outside)):
         coarse, fine = (abs(measure(one) / exact - 1.0) for one in made)
@@ -187,16 +179,16 @@ def test_planes_through_nodes_leave_no_flat_triangles() -> None:
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "step", "sentence"),
+    ("low", "high", "step", "key"),
     [
-        (-2.0, 2.0, 1e-3, "step_mm: expected a lattice of at most 64000000 nodes"),
-        (2.0, 4.0, 0.1, r"expected a body in the lattice from \[2.0"),
-        (-2.0, 0.9, 0.1, r"it reaches its edge at \+X, \+Y, \+Z"),
-        (-1.0, 2.0, 0.1, "it reaches its edge at -X, -Y, -Z"),
+        (-2.0, 2.0, 1e-3, "step_mm"),
+        (2.0, 4.0, 0.1, "[2.0"),
+        (-2.0, 0.9, 0.1, "+X, +Y, +Z"),
+        (-1.0, 2.0, 0.1, "-X, -Y, -Z"),
     ],
 )
-def test_a_body_must_be_in_its_lattice(low: float, high: float, step: float, sentence: str) -> None:
-    with pytest.raises(InputError, match=sentence):
+def test_a_body_must_be_in_its_lattice(low: float, high: float, step: float, key: str) -> None:
+    with refused(key):
         surface_of(lambda p: np.linalg.norm(p, axis=1) - 1.0, [low] * 3, [high] * 3, step)
 
 
@@ -218,21 +210,18 @@ def test_a_propeller_has_its_blades_and_its_pitch(blades: int, pitch: float) -> 
     assert tree.query(turned(points, np.pi / blades))[0].max() > 5.0 * step
     for at in (8.0, 12.0):
         angle = np.arctan2(points[:, 2], points[:, 1])
-        ring = (np.abs(radius - at) < 0.4) & (
-            np.abs(angle) < np.pi / blades
-        )  # one section, unrolled
+        # one section, unrolled
+        ring = (np.abs(radius - at) < 0.4) & (np.abs(angle) < np.pi / blades)
         outline = np.column_stack([points[ring, 0], at * angle[ring]])
         _, lengths, axes = np.linalg.svd(outline - outline.mean(axis=0), full_matrices=False)
         assert lengths[0] > 4.0 * lengths[1]
-        assert 2.0 * np.pi * at * axes[0, 0] / axes[0, 1] == pytest.approx(
-            pitch, rel=0.03
-        )  # its long axis climbs as the helix does
+        climb = 2.0 * np.pi * at * axes[0, 0] / axes[0, 1]
+        assert climb == pytest.approx(pitch, rel=0.03)  # of its long axis, as of the helix
         assert np.ptp(outline @ axes[0]) == pytest.approx(7.0, abs=step)
         assert np.ptp(outline @ axes[1]) == pytest.approx(0.15 * 7.0, abs=step / 3.0)
         thick = np.abs(outline @ axes[1]) > 0.9 * np.abs(outline @ axes[1]).max()
-        assert outline[thick, 0].mean() < -0.1 * np.ptp(
-            outline[:, 0]
-        )  # sections are thickest at 0.3 of the chord, where +X comes from
+        # sections are thickest at 0.3 of the chord, where +X comes from
+        assert outline[thick, 0].mean() < -0.1 * np.ptp(outline[:, 0])
 
 
 @pytest.mark.slow
@@ -250,31 +239,25 @@ def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
         ground = np.abs(made.vertices_mm[made.faces][:, :, 1]).max(axis=1) < 1e-6
         assert normals[ground, 1].sum() > 40.0
         overhangs = normals[~ground & (normals[:, 1] > 0.0), 1].sum()
-        assert (
-            overhangs > normals[ground, 1].sum()
-        )  # seen from below there is more of it than its base
+        assert overhangs > normals[ground, 1].sum()  # from below, more of it is seen than its base
         assert characteristic(made) <= 0  # at least one hole goes through
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters", "sentence"),
+    ("name", "key", "value"),
     [
-        ("hydrofoil", {"digits": "012"}, "digits: "),
-        ("hydrofoil", {"digits": "0000"}, "digits: expected a thickness of 01 to 40 percent"),
-        ("hydrofoil", {"digits": "2012"}, "digits: expected a camber and its position"),
-        ("hydrofoil", {"points": 9}, "points: "),
-        ("propeller", {"hub_mm": 40.0}, "hub_mm: expected less than diameter_mm, 30, got 40"),
-        ("propeller", {"pitch_mm": 0.0}, "pitch_mm: expected another value than 0"),
-        ("propeller", {"step_mm": 0.7}, "step_mm: expected at most half of the blades' thickness"),
-        (
-            "propeller",
-            {"blades": 12},
-            "blades: expected sections thinner than their distance at the hub",
-        ),
-        ("reef", {"size_mm": [10.0, 0.0, 10.0]}, "size_mm: expected positive"),
-        ("reef", {"step_mm": 0.01}, "step_mm: expected a lattice of at most 64000000 nodes"),
+        ("hydrofoil", "digits", "012"),
+        ("hydrofoil", "digits", "0000"),
+        ("hydrofoil", "digits", "2012"),
+        ("hydrofoil", "points", 9),
+        ("propeller", "hub_mm", 40.0),
+        ("propeller", "pitch_mm", 0.0),
+        ("propeller", "step_mm", 0.7),
+        ("propeller", "blades", 12),
+        ("reef", "size_mm", [10.0, 0.0, 10.0]),
+        ("reef", "step_mm", 0.01),
     ],
 )
-def test_impossible_bodies_are_named(name: str, parameters: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(InputError, match=sentence):
-        body(name, **parameters)
+def test_impossible_bodies_are_named(name: str, key: str, value: Any) -> None:
+    with refused(f"{key}: "):
+        body(name, **{key: value})

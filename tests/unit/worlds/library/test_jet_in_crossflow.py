@@ -1,5 +1,4 @@
-"""A liquid jet in a cross-flow. The measured laws, motion along them, and drops that touch neither
-each other nor the column."""
+"""A liquid jet in a cross-flow: the measured laws, motion along them, and overlaps."""
 
 from typing import Any
 
@@ -7,10 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from sabench.api.make import generator_of
 from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.rigid_motion import Domain
-from sabench.plugins import load
-from sabench.utils.validation import validate
 from sabench.worlds.library.jet_in_crossflow import Crossflow, Spray
 from sabench.worlds.library.overlaps import overlapping, touching
 
@@ -21,17 +19,14 @@ JET: dict[str, Any] = FLOW | {"ligaments": 12}
 
 
 def drops(time_s: float = 0.0, seed: int = 1, **more: Any) -> Bubbles:
-    plugin = load("generators", "jet_in_crossflow")
-    made: Bubbles = plugin(validate(plugin.Parameters, JET | more, "jet")).bubbles(
-        DOMAIN, seed, 0, time_s
-    )
+    jet = generator_of({"generator": "jet_in_crossflow"} | JET | more)
+    made: Bubbles = jet.bubbles(DOMAIN, seed, 0, time_s)
     return made
 
 
 @pytest.fixture(scope="module")
 def column() -> Solid:
-    plugin = load("generators", "liquid_column")
-    made: Solid = plugin(validate(plugin.Parameters, JET | {"step_mm": 0.25}, "column")).body(1)
+    made: Solid = generator_of({"generator": "liquid_column", "step_mm": 0.25} | JET).body(1)
     return made
 
 
@@ -58,10 +53,8 @@ def test_drops_are_between_the_edges_and_off_the_column(column: Solid) -> None:
     assert len(overlapping(made)) == 0
     assert not touching(made, column).any()
     x, y, z = (made.center_mm - NOZZLE).T
-    upper, width = (
-        4.3 * 12.0**0.33 * (x / 2.0) ** 0.33 * 2.0,
-        7.86 * 12.0**0.17 * (x / 2.0) ** 0.33 * 2.0,
-    )
+    upper = 4.3 * 12.0**0.33 * (x / 2.0) ** 0.33 * 2.0
+    width = 7.86 * 12.0**0.17 * (x / 2.0) ** 0.33 * 2.0
     assert (-y <= upper).all()
     assert (-y >= 0.4 * upper).all()
     assert (np.abs(z) <= width / 2.0).all()
@@ -69,8 +62,7 @@ def test_drops_are_between_the_edges_and_off_the_column(column: Solid) -> None:
 
 
 def test_drops_move_with_their_velocities_and_the_gas_takes_them_along() -> None:
-    """Motion obeys x'' = (gas - x') / response. Positions at three times against the velocity at
-    the middle one, both by the same differences."""
+    """Motion obeys x'' = (gas - x') / response, by differences of positions at three times."""
     step = 2e-5
     early, now, late = (drops(1e-3 + k * step) for k in (-1, 0, 1))
     every = [one for one in now.id if one in early.id and one in late.id]
