@@ -88,7 +88,7 @@ def test_packages_of_algorithms_name_their_public_functions() -> None:
 
 
 HEAVY = {
-    *("mitsuba", "drjit", "numpy", "scipy", "cv2", "numba", "h5py", "sabench.plugins.solvers.msa"),
+    *("mitsuba", "drjit", "numpy", "scipy", "cv2", "numba", "h5py", "sabench.plugins.solvers.msa")
 }
 
 

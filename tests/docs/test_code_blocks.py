@@ -51,8 +51,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=pytest.mark.slow) if page in _SLOW else page for page in _RUN],
+    "page", [pytest.param(page, marks=pytest.mark.slow) if page in _SLOW else page for page in _RUN]
 )
 def test_code_blocks_run(
     page: str, folder: Path, cache: Path, monkeypatch: pytest.MonkeyPatch

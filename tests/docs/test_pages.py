@@ -182,7 +182,7 @@ def test_units_follow_from_suffixes() -> None:
     unit_of = reference()["unit_of"]
     names = ("size_mm", "peak_mm_s", "gain_dn_e", "per_mm3", "gradient_1_s", "f_number", "s")
     assert [unit_of(name) for name in names] == [
-        *("mm", "mm/s", "grey values/electron", "1/mm^3", "1/s", "-", "-"),
+        *("mm", "mm/s", "grey values/electron", "1/mm^3", "1/s", "-", "-")
     ]
 
 

@@ -45,6 +45,7 @@ from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, LN2, JetLaw
 from sabench.worlds.library.rise_velocity import Liquid
+from tests.helpers.refusals import refused
 
 S_O, S_I, PIXEL = 510.0, 102.0, 0.01  # mm: M(0) = -0.2
 
@@ -211,7 +212,7 @@ def test_a_dark_image_with_few_particles_is_far_from_normal() -> None:
     image = np.zeros(1000)
     image[:10] = 1.0
     assert normality(image).distance == 0.5
-    with pytest.raises(ValueError, match="expected at least two different values, got 1"):
+    with refused(kind=ValueError):
         normality(np.ones(5))
 
 
@@ -255,7 +256,7 @@ def test_five_points_predict_the_whole_field() -> None:
     assert explained_share(points, jet) == pytest.approx(1.0, abs=1e-3)
     wrong = FivePoints(0.002, 0.05, 50.0, 6.0, 120.0)
     assert explained_share(wrong, jet) < 0.8
-    with pytest.raises(ValueError, match="penetration depth"):
+    with refused(kind=ValueError):
         five_points(analyse(np.zeros((0, 3)), np.zeros(0), np.zeros(3), 100.0, EDGE))
 
 
@@ -291,7 +292,7 @@ def test_a_straightened_jet_is_upright() -> None:
     moved = straighten(points, impact, (1.5, -0.7)) - impact
     assert moved[:, [0, 2]] == pytest.approx(np.zeros((40, 2)), abs=1e-9)
     assert np.linalg.norm(moved, axis=1) == pytest.approx(np.linalg.norm(points - impact, axis=1))
-    with pytest.raises(ValueError, match="expected 5 bubbles"):
+    with refused(kind=ValueError):
         find_tilt(points[:3], impact)
 
 

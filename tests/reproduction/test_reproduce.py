@@ -51,6 +51,7 @@ from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.docs.pages import ROOT
 from tests.helpers.commands import refuse, succeed
+from tests.helpers.refusals import refused
 
 KEYS = {"name", "thesis", "measured", "verdict", "ci95", "seeds", "note"}
 QUICK = ["--seeds", "2", "--pixels", "60"]
@@ -259,7 +260,7 @@ def test_a_missing_folder_is_an_error_that_says_where_to_get_it(
             f"{tmp_path / 'reproduction'}: expected the reproduction",
             "copy the folder reproduction/ of sabench's source repository",
         )
-    with pytest.raises(InputError, match="source repository"):
+    with refused():
         sabench.reproduce(["fig-4-9"])
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from sabench.apps.own_calibration.folder import read_loose_points, read_sightings, read_target
 from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 
 NAMES = ("a", "b")
 HEAD = "camera,frame,point,column,row"
@@ -71,14 +72,14 @@ def test_a_fault_names_the_line(text: str, words: str, tmp_path: Path) -> None:
 
 
 def test_loose_points_need_places(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="line 2: expected x_mm, y_mm and z_mm of every point"):
+    with refused("line 2"):
         read_loose_points(write(tmp_path, f"{HEAD}\na,0,1,1,2\n"), NAMES)
 
 
 def test_a_target_of_any_shape(tmp_path: Path) -> None:
     path = write(tmp_path, "point,x_mm,y_mm,z_mm\n1,1,0,5\n0,0,0,0\n2,0,1,0\n")
     assert read_target(path) == ((0.0, 0.0, 0.0), (1.0, 0.0, 5.0), (0.0, 1.0, 0.0))
-    with pytest.raises(InputError, match="three points or more, counted from 0, got 2"):
+    with refused():
         read_target(write(tmp_path, "point,x_mm,y_mm,z_mm\n1,1,0,5\n0,0,0,0\n"))
-    with pytest.raises(InputError, match=r"none\.csv: expected a file, found none"):
+    with refused("none.csv"):
         read_target(tmp_path / "none.csv")

@@ -17,8 +17,8 @@ from sabench.dataset.copies import pack_samples
 from sabench.dataset.import_recording import check_numbers
 from sabench.dataset.sample_set import SampleSet
 from sabench.images.image_files import Files
-from sabench.utils.errors import InputError
 from sabench.utils.files import sha256
+from tests.helpers.refusals import refused
 from tests.helpers.sample_sets import COUNT, make
 from tests.unit.simulation.test_streaming import make_scene
 
@@ -95,7 +95,7 @@ def test_splits_are_selected_by_name(samples: SampleSet) -> None:
     assert test.splits == {"test": len(test)}
     again = sabench.open_samples(samples.root, "test")
     assert [one.number for one in again] == [one.number for one in test]
-    with pytest.raises(InputError, match="expected one of the splits train, validation, test"):
+    with refused():
         samples.split("evaluation")
 
 
@@ -109,7 +109,7 @@ def test_arrays_are_padded_with_what_is_no_particle(samples: SampleSet) -> None:
         own = one.particles[1].position_mm
         np.testing.assert_array_equal(arrays["position_mm"][row, 1][there], own)
         assert not arrays["position_mm"][row, 1][~there].any()
-    with pytest.raises(InputError, match="expected at most 5 particles"):
+    with refused():
         batch.arrays(5)
 
 
@@ -153,7 +153,7 @@ def test_frames_of_version_1_are_samples(tmp_path: Path) -> None:
     assert (one.drawn, one.redrawn, one.seed) == ({}, 0, 3)
     assert one.true_cameras == data.true_cameras
     assert one.setup.frames == 1
-    with pytest.raises(InputError, match="frame 1: expected 0 to 0"):
+    with refused("frame 1"):
         one.observation(1)
 
 
@@ -172,11 +172,11 @@ def test_groups_of_pulses_are_samples(tmp_path: Path) -> None:
 
 
 def test_what_is_no_data_set_is_refused(tmp_path: Path, samples: SampleSet) -> None:
-    with pytest.raises(InputError, match="expected a data set's manifest"):
+    with refused():
         sabench.open_samples(tmp_path)
-    with pytest.raises(InputError, match="batch: expected 1 or more"):
+    with refused("batch"):
         next(samples.batches(0))
-    with pytest.raises(InputError, match=r"open it with sabench\.open_samples"):
+    with refused():
         sabench.open_dataset(samples.root)
 
 
@@ -184,10 +184,10 @@ def test_a_damaged_shard_is_named(samples: SampleSet, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(samples.root, tmp_path / "copy"))
     file = copy / "observation" / "train-00000.h5"
     file.write_bytes(file.read_bytes()[:2000])
-    with pytest.raises(InputError, match=r"train-00000\.h5: expected an intact HDF5 file"):
+    with refused("train-00000.h5"):
         _ = sabench.open_samples(copy)[0]
     file.unlink()
-    with pytest.raises(InputError, match=r"train-00000\.h5: expected a shard, found none"):
+    with refused("train-00000.h5"):
         _ = sabench.open_samples(copy)[0]
 
 
@@ -280,7 +280,7 @@ def test_the_observation_side_tells_nothing_of_the_truth(copy: Path, tmp_path: P
     samples = sabench.open_samples(blind, "test")
     assert samples[0].observation().images.shape == (4, 48, 64)
     for name in ("particles", "views", "drawn", "seed", "radiance", "true_cameras"):
-        with pytest.raises(InputError, match="with its truth, got the observation side alone"):
+        with refused():
             getattr(samples[0], name)
     names = {path.name for path in blind.iterdir()}
     assert names == {"manifest.json", "observation", "samples.csv"}
@@ -340,7 +340,7 @@ def test_a_gap_that_others_do_not_have_is_named() -> None:
         b=["b/B0001.tif", "b/B0003.tif", "b/B0004.tif"],
     )
     for chosen in (EVERY, slice(0, 2)):
-        with pytest.raises(InputError, match="b: expected an image of number 2, as other cameras"):
+        with refused("b"):
             check_numbers(with_gap, chosen, [])
 
 

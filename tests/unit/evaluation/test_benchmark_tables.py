@@ -10,12 +10,7 @@ import pytest
 from scipy import stats
 
 import sabench.evaluation.timed_solving  # noqa: F401 - names what the server loads
-from benchmarks import (
-    false_alarms,
-    quality_without_truth,
-    realism,
-    standard_tables,
-)
+from benchmarks import false_alarms, quality_without_truth, realism, standard_tables
 from benchmarks.particle_density import CASES, scene_of
 from benchmarks.particle_scores import Recording, find_particles, score_particles
 from sabench import tasks

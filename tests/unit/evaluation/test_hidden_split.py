@@ -8,6 +8,7 @@ import pytest
 from sabench.evaluation.suite_loading import load_suite, read_secret
 from sabench.evaluation.suites import Only
 from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 
 SUITE = (
     'title = "t"\nscenes = ["quick"]\nseeds = [1, 2]\nbackend = "splat"\n'
@@ -37,7 +38,7 @@ def test_a_frozen_suite_says_its_hash_when_something_changed(tmp_path: Path) -> 
         ('"splat"\n', '"splat"\nset = { "particles.count" = 299 }\n'),
     ]
     for old, new in changes:
-        with pytest.raises(InputError, match="a change needs a new version"):
+        with refused():
             load_suite(write(tmp_path, frozen.replace(old, new)))
 
 
@@ -93,9 +94,9 @@ def test_parts_of_a_suite(tmp_path: Path) -> None:
         (2, ["additive"])
     ]
     assert Only().select(cases) == cases
-    with pytest.raises(InputError, match="--solver asa: expected one of additive, msa"):
+    with refused("--solver asa"):
         Only(solvers=("asa",)).select(cases)
-    with pytest.raises(InputError, match="--seed 7: expected one of 1, 2"):
+    with refused("--seed 7"):
         Only(seeds=(7,)).select(cases)
-    with pytest.raises(InputError, match="--case tank: expected one of quick"):
+    with refused("--case tank"):
         Only(cases=("tank",)).select(cases)

@@ -19,6 +19,7 @@ from sabench.evaluation.leaderboard.standings import Board, boards_of, curves_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import latest, read_records
 from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 from tests.system.test_board import record
 
 SEEDS = (1, 2, 3, 4, 5)
@@ -393,15 +394,15 @@ def test_two_members_of_one_name(tmp_path: Path) -> None:
     with tarfile.open(path, "w") as file:
         for _ in range(2):
             file.addfile(tarfile.TarInfo("a.h5"))
-    with pytest.raises(InputError, match="different names"), submitted_files(path):
+    with refused(), submitted_files(path):
         pytest.fail("it was opened")
 
 
 def test_links_in_folders(tmp_path: Path) -> None:
     (tmp_path / "a.h5").symlink_to("/etc/passwd")
-    with pytest.raises(InputError, match="no links"), submitted_files(tmp_path):
+    with refused(), submitted_files(tmp_path):
         pytest.fail("it was opened")
-    with pytest.raises(InputError, match="a link"), submitted_files(tmp_path / "a.h5"):
+    with refused(), submitted_files(tmp_path / "a.h5"):
         pytest.fail("it was opened")
 
 

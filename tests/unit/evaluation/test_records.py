@@ -12,8 +12,8 @@ import pytest
 from sabench import tasks
 from sabench.evaluation.record_schema import LONGEST_LINE, Head, score_faults
 from sabench.evaluation.records import append, latest, read_records
-from sabench.utils.errors import InputError
 from tests.conftest import ROOT
+from tests.helpers.refusals import refused
 
 WRITERS, LINES = 16, 40
 FORKS = """
@@ -213,7 +213,7 @@ def test_ranges_of_scores(task: str) -> None:
     "changes", [{"q": 2.5}, {"q": float("nan")}, {"solver": "x" * 201}, {"parameters": {"a": {1}}}]
 )
 def test_what_would_be_left_out_is_not_written(tmp_path: Path, changes: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="expected values that a record may have, got"):
+    with refused():
         append(tmp_path / "a.jsonl", record("x") | changes)
     assert not list(tmp_path.iterdir())
 

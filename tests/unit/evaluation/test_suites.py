@@ -17,6 +17,7 @@ from sabench.scenes import build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.utils.confidence import mean_of
 from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 
 SOLVER = '[[solvers]]\nname = "asa"\n'
 
@@ -68,7 +69,7 @@ def test_the_interval_holds_the_true_mean_as_often_as_it_says() -> None:
 
 def test_many_equal_names_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sabench.evaluation.suite_loading.load_scene", None)
-    with pytest.raises(InputError, match="500 cases are named standard-particles"):
+    with refused():
         load(tmp_path, f"scenes = {['standard-particles'] * 500}\n")
 
 
@@ -177,7 +178,7 @@ def test_a_case_without_solvers_is_named(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text(own)
     assert len(load_suite(tmp_path / "own.toml")[1]) == 1
     (tmp_path / "none.toml").write_text(own + '[[cases]]\nscene = "demo"\n')
-    with pytest.raises(InputError, match="solvers: expected at least one for every case"):
+    with refused("solvers"):
         load_suite(tmp_path / "none.toml")
 
 

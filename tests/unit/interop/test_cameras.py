@@ -29,6 +29,7 @@ from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.processes import python
 from tests.conftest import pinholes
+from tests.helpers.refusals import refused
 
 LENS = Distortion(k1=0.05, k2=-0.2, p1=1e-3, p2=-5e-4, k3=0.01)
 TILT = (7.0, -11.0)
@@ -158,7 +159,7 @@ def test_what_would_project_elsewhere_is_refused(
 
 def test_a_fifth_camera_is_refused(tmp_path: Path) -> None:
     five = [*CAMERAS, dataclasses.replace(CAMERAS[0], name="camera_04")]
-    with pytest.raises(InputError, match="openptv: OpenPTV has 4 cameras at most, got 5"):
+    with refused("openptv"):
         write_cameras(tmp_path / "out", five, "openptv", grid=GRID)
 
 
@@ -248,7 +249,7 @@ def test_points_tell_exchanged_indices(tmp_path: Path) -> None:
         found = read_cameras(root, "openptv", points=(points, pixels))
     assert "wall and fluid were exchanged: the points then fit to" in str(said[1].message)
     assert difference_px(found, CAMERAS, read_world(root)) < NEAR_PX
-    with pytest.raises(InputError, match=r"expected \(n, 3\) and pixels \(4, 200, 2\)"):
+    with refused():
         read_quietly(root, "openptv", points=(points, pixels[:2]))
 
 
@@ -278,7 +279,7 @@ def test_metres_are_recognised(tmp_path: Path) -> None:
         dataclasses.replace(one, center_mm=tuple(np.asarray(one.center_mm) / 1e3)) for one in far
     ]
     write_quietly(tmp_path / "out", small, "opencv")
-    with pytest.raises(InputError, match="the file seems to be in metres; name its unit"):
+    with refused():
         read_quietly(tmp_path / "out", "opencv")
     found = read_quietly(tmp_path / "out", "opencv", unit="m")
     assert difference_px(found, far, ForeignWorld()) < NEAR_PX
@@ -290,7 +291,7 @@ def test_points_in_metres_are_scaled(kind: str, tmp_path: Path) -> None:
     wide = np.array([1.01, 1.0]) if kind == "projective" else np.ones(2)
     pixels = [camera.project(POINTS)[0] * wide for camera in true]
     np.savetxt(tmp_path / "points.txt", np.hstack([POINTS / 1e3, *pixels]), fmt="%.17g")
-    with pytest.raises(InputError, match="the file seems to be in metres"):
+    with refused():
         read_quietly(tmp_path / "points.txt", "lpt-challenge", size=SIZE)
     found = read_quietly(tmp_path / "points.txt", "lpt-challenge", size=SIZE, unit="m")
     names = {"pinhole": "Camera", "projective": "Projective", "soloff": "Soloff"}
@@ -330,10 +331,10 @@ def test_a_lens_without_a_place_is_refused(tmp_path: Path) -> None:
     storage = cv2.FileStorage(str(tmp_path / "cam.yml"), cv2.FILE_STORAGE_WRITE)
     storage.write("camera_matrix", np.eye(3))
     storage.release()
-    with pytest.raises(InputError, match=r"cam\.yml: expected a matrix R or rotation"):
+    with refused("cam.yml"):
         read_quietly(tmp_path / "cam.yml", "opencv", size=SIZE)
     (tmp_path / "cam.yml").write_text("%YAML:1.0\n---\nK: [1, 2\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"cam\.yml: expected a"):
+    with refused("cam.yml"):
         read_quietly(tmp_path / "cam.yml", "opencv", size=SIZE)
 
 
@@ -366,9 +367,9 @@ def test_a_zolof_camera_needs_its_volume(tmp_path: Path) -> None:
     lines = [f"A {i} {j} \t {table[i, j]} " for i in range(19) for j in range(2)]
     text = "\n".join(["extendedZolof model camera", "cam3", "O 0 \t 1.0 ", *lines])
     (tmp_path / "cam3").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match="cam3: it has no size of the images"):
+    with refused("cam3"):
         read_quietly(tmp_path, "myptv")
-    with pytest.raises(InputError, match="needs the measured volume"):
+    with refused():
         read_quietly(tmp_path, "myptv", size=SIZE)
     (camera,) = read_quietly(tmp_path, "myptv", size=SIZE, grid=GRID)
     x, y, z = POINTS.T
@@ -401,7 +402,7 @@ def test_matlabs_structures_are_read(old: bool, tmp_path: Path) -> None:
     assert [camera.name for camera in found] == [camera.name for camera in true]
     assert difference_px(found, true, ForeignWorld()) < NEAR_PX
     savemat(tmp_path / "other.mat", {"x": 1.0})
-    with pytest.raises(InputError, match="expected structures with K or IntrinsicMatrix"):
+    with refused():
         read_quietly(tmp_path / "other.mat", "matlab")
 
 
@@ -481,7 +482,7 @@ def test_what_a_format_cannot_say_is_said() -> None:
     assert openptv.unfit(two) == "OpenPTV supports one layer of glass, and this wall has 2"
     beside = dataclasses.replace(cameras[0], distortion=LENS, principal_point_px=(121.3, 117.8))
     assert "about the centre of the image" in str(openptv.unfit(beside))
-    with pytest.raises(ValueError, match="camera_00: OpenPTV supports one layer of glass"):
+    with refused("camera_00", kind=ValueError):
         openptv.orientation_text(two, openptv.world_of(grid))
     barrel = dataclasses.replace(cameras[0], distortion=Distortion(k1=-0.1))
     assert "without a positive coefficient" in str(openlpt.unfit(barrel))
@@ -489,7 +490,7 @@ def test_what_a_format_cannot_say_is_said() -> None:
     for program, name in ((openlpt, "OpenLPT"), (openptv, "OpenPTV")):
         expected = f"{name} has no tilted sensor behind a lens with distortion"
         assert program.unfit(leaning) == expected
-    with pytest.raises(ValueError, match="camera_00: OpenLPT has no tilted sensor"):
+    with refused("camera_00", kind=ValueError):
         openlpt.camera_text(leaning)
     finer = dataclasses.replace(cameras[1], pixel_mm=cameras[0].pixel_mm / 2.0)
     assert openptv.unlike(cameras[:2]) is None

@@ -19,6 +19,7 @@ from sabench.interop.foreign import (
 )
 from sabench.interop.tracks import TrackFormat, read_tracks, write_tracks
 from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 from tests.unit.interop.test_cameras import rig
 
 CAMERAS, GRID, _ = rig("particle-tracking")
@@ -122,7 +123,7 @@ def test_another_world_and_back(tmp_path: Path) -> None:
     assert found.velocity_mm_s is not None
     np.testing.assert_allclose(found.velocity_mm_s, np.asarray(true.velocity_mm_s), atol=1e-13)
     (tmp_path / "sabench-world.json").write_text(json.dumps({"origin_mm": [1]}), encoding="utf-8")
-    with pytest.raises(InputError, match="expected origin_mm and orthonormal axes"):
+    with refused():
         read_world(tmp_path)
 
 
@@ -190,9 +191,9 @@ def test_broken_files(form: TrackFormat, text: str, sentence: str, tmp_path: Pat
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_nothing_there_is_one_sentence(form: TrackFormat, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="found none"):
+    with refused():
         read_quietly(tmp_path, form)
-    with pytest.raises(InputError, match="expected a file or folder with particles, found none"):
+    with refused():
         read_quietly(tmp_path / "nowhere", form)
 
 
@@ -201,7 +202,7 @@ def test_openptvs_counts_are_checked(tmp_path: Path) -> None:
     file = tmp_path / "out/res/ptv_is.10002"
     lines = file.read_text(encoding="utf-8").splitlines()
     file.write_text("\n".join(lines[:-1]), encoding="utf-8")
-    with pytest.raises(InputError, match=r"ptv_is\.10002: line 1: expected 2, the number of lines"):
+    with refused("ptv_is.10002: line 1"):
         read_quietly(tmp_path / "out", "openptv")
     file.write_text("\n".join([lines[0], *(line + " 9 9" for line in lines[1:])]), encoding="utf-8")
     assert len(read_quietly(tmp_path / "out", "openptv")) == len(particles())
@@ -213,7 +214,7 @@ def test_units_scale_positions(tmp_path: Path) -> None:
         if form not in ("netcdf", "mat", "csv"):  # these name their unit
             found = read_quietly(tmp_path / form, form, "um")
             np.testing.assert_allclose(1e3 * found.position_mm, particles().position_mm)
-    with pytest.raises(InputError, match="unit: expected one of m, dm, cm, mm, um, in, got 'ell'"):
+    with refused("unit"):
         read_quietly(tmp_path / "openptv", "openptv", "ell")
 
 

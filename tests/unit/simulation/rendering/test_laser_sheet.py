@@ -8,7 +8,7 @@ import pytest
 
 from sabench.scenes.illumination import Illumination
 from sabench.simulation.rendering.lamps import LIGHT_M_S, PLANCK_J_S, enter_fluid, fluence
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 
 CENTER = np.array([3.0, -2.0, 30.0])
 
@@ -125,5 +125,5 @@ def test_polarisation_stays_across_the_light() -> None:
     ],
 )
 def test_a_window_that_the_light_does_not_pass_is_refused(window: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=r"^illumination\.entry: expected a window between"):
+    with refused("illumination.entry"):
         enter_fluid(entering(entry=window), CENTER, 1.333)
