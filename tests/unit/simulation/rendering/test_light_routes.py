@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,7 @@ WALL: dict[str, Any] = {"layers": FRONT, "normal": [0.1, -0.05, 1.0], "depth_mm"
 
 
 def scene_of(**wall: Any) -> Scene:
-    rear = [
-        {"name": one.name, "index": one.index, "thickness_mm": one.thickness_mm} for one in REAR
-    ]
+    rear = [asdict(one) for one in REAR]
     light = {"thickness_mm": 1e3}
     return make_scene(wall=WALL | {"rear": rear} | wall, illumination=light)
 
@@ -65,26 +63,15 @@ def follow(camera: Camera, pixel: F64, moves: list[tuple[float, float, float]]) 
 def moves_of(kind: str) -> list[tuple[float, float, float]]:
     """Moves through the faces of the walls, whose depths are 0, 5, 8; 68, 72, 78 mm."""
     into = [(0.0, 1.0, 1.52), (5.0, 1.52, 1.4), (8.0, 1.4, 1.333)]
+    rear, back = [(68.0, 1.333, 1.52), (72.0, 1.52, 1.49)], [(68.0, 1.52, 1.333)]
+    acrylic = [*rear, (78.0, 1.49, 0.0), (72.0, 1.49, 1.52)]
+    front = [(8.0, 1.4, 0.0), (5.0, 1.4, 1.52), (0.0, 1.52, 0.0)]
     return {
         "water": [*into, (68.0, 1.333, 0.0)],
-        "glass": [*into, (68.0, 1.333, 1.52), (72.0, 1.52, 0.0), (68.0, 1.52, 1.333)],
-        "acrylic": [
-            *into,
-            (68.0, 1.333, 1.52),
-            (72.0, 1.52, 1.49),
-            (78.0, 1.49, 0.0),
-            (72.0, 1.49, 1.52),
-            (68.0, 1.52, 1.333),
-        ],
-        "front glass": [(0.0, 1.0, 1.52), (5.0, 1.52, 0.0), (0.0, 1.52, 0.0), *into[1:]],
-        "front both": [
-            (0.0, 1.0, 1.52),
-            (5.0, 1.52, 1.4),
-            (8.0, 1.4, 0.0),
-            (5.0, 1.4, 1.52),
-            (0.0, 1.52, 0.0),
-            *into[1:],
-        ],
+        "glass": [*into, rear[0], (72.0, 1.52, 0.0), *back],
+        "acrylic": [*into, *acrylic, *back],
+        "front glass": [into[0], (5.0, 1.52, 0.0), (0.0, 1.52, 0.0), *into[1:]],
+        "front both": [*into[:2], *front, *into[1:]],
         "front gel": [*into[:2], (8.0, 1.4, 0.0), (5.0, 1.4, 0.0), into[2]],
     }[kind]
 
@@ -117,14 +104,9 @@ def test_reflected_shares_are_fresnel_s() -> None:
     def share(before: float, after: float) -> float:
         return ((before - after) / (before + after)) ** 2
 
-    expected = [
-        share(1.0, 1.52) * share(1.52, 1.4),
-        share(1.0, 1.52) * share(1.4, 1.333),
-        share(1.52, 1.4) * share(1.4, 1.333),
-        share(1.333, 1.52),
-        share(1.52, 1.49),
-        share(1.49, 1.0),
-    ]
+    outer, middle, inner = share(1.0, 1.52), share(1.52, 1.4), share(1.4, 1.333)
+    expected = [outer * middle, outer * inner, middle * inner]
+    expected += [share(1.333, 1.52), share(1.52, 1.49), share(1.49, 1.0)]
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     across = np.cross(normal, [0.0, 1.0, 0.0])
     slanted = np.cos(1.2) * normal + np.sin(1.2) * across / np.linalg.norm(across)
@@ -152,9 +134,8 @@ def test_both_renderers_mirror_alike_and_without_the_key_nothing_is_mirrored() -
     for mirrors, renderer in ((True, "mitsuba"), (True, "splat"), (None, "splat")):
         changes = wall if mirrors is None else wall | {"mirrors": mirrors}
         scene = make_scene(wall=changes, particles={"count": 12, "diameter_spread": 0.0})
-        views.append(
-            camera_view.render(Frames(scene, build_rig(scene), 3, renderer).at(0), 1).photons
-        )
+        frame = Frames(scene, build_rig(scene), 3, renderer).at(0)
+        views.append(camera_view.render(frame, 1).photons)
     traced, splatted, plain = views
     extra = splatted - plain
     assert extra.min() > -1e-9
