@@ -50,12 +50,8 @@ def test_what_is_put_is_there_and_nothing_beside_it(tmp_path: Path) -> None:
     assert isinstance(seen, View)
     np.testing.assert_array_equal(stored.truth["frames/0003/cameras/a/pixel"], seen.pixel)
     assert sorted(stored.files) == ["images/frame_0003/a.exr", "images/frame_0003/a.tif"]
-    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == [
-        "0003-a.npz",
-        "0003.npz",
-        "a.exr",
-        "a.tif",
-    ]
+    names = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
+    assert names == ["0003-a.npz", "0003.npz", "a.exr", "a.tif"]
 
 
 def test_a_part_with_one_byte_wrong_is_not_there_or_whole(tmp_path: Path) -> None:
@@ -112,31 +108,18 @@ def test_a_part_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 def test_a_job_is_read_as_it_was_written_and_only_by_the_same_code(tmp_path: Path) -> None:
-    job = Job(load_scene("quick"), 7, "splat", "quick")
-    job.write(tmp_path)
-    again = read_job(tmp_path)
-    assert (again.scene.hash, again.seed, again.renderer, again.label, again.key) == (
-        job.scene.hash,
-        7,
-        "splat",
-        "quick",
-        job.key,
-    )
-    assert (
-        len(
-            {
-                job.key,
-                Job(job.scene, 8, "splat", "quick").key,
-                Job(job.scene, 7, "mitsuba", "quick").key,
-            }
-        )
-        == 3
-    )
-    (tmp_path / "job.json").write_text(
-        (tmp_path / "job.json").read_text().replace(job.key, "0" * 64)
-    )
+    job, folder = Job(load_scene("quick"), 7, "splat", "quick"), tmp_path / "set"
+    folder.mkdir()
+    job.write(folder)
+    again = read_job(folder)
+    assert again.scene.hash == job.scene.hash
+    assert (again.seed, again.renderer, again.label, again.key) == (7, "splat", "quick", job.key)
+    others = [Job(job.scene, 8, "splat", "quick"), Job(job.scene, 7, "mitsuba", "quick")]
+    assert len({one.key for one in [job, *others]}) == 3
+    file = folder / "job.json"
+    file.write_text(file.read_text().replace(job.key, "0" * 64))
     with refused():
-        read_job(tmp_path)
+        read_job(folder)
     with refused():
         read_job(tmp_path / "elsewhere")
 
@@ -192,8 +175,7 @@ def work(
 
 @pytest.mark.parametrize("chained", [False, True])
 @pytest.mark.parametrize(
-    ("frames", "cameras", "workers"),
-    [(1, 1, 1), (7, 3, 1), (7, 3, 2), (40, 4, 5), (5, 9, 30), (9, 0, 3)],
+    ("frames", "cameras", "workers"), [(1, 1, 1), (7, 3, 1), (40, 4, 5), (5, 9, 30), (9, 0, 3)]
 )
 def test_everything_is_done_once_in_an_order_that_it_allows(
     frames: int, cameras: int, workers: int, chained: bool

@@ -48,7 +48,8 @@ def test_a_profile_along_the_height_holds_the_energy(kind: str) -> None:
 
 
 def entering(**changes: Any) -> Illumination:
-    return sheet(entry={"point_mm": [-40.0, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}, **changes)
+    window = {"point_mm": [-40.0, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}
+    return sheet(**{"entry": window} | changes)
 
 
 def test_a_sheet_at_right_angles_to_its_window_only_loses_what_is_reflected() -> None:
