@@ -42,9 +42,8 @@ def test_scores_are_those_of_the_task(scene: Scene, tmp_path: Path) -> None:
         np.concatenate([true + rng.normal(size=true.shape) @ root.T, true[:7] + 0.7]),
         covariance_mm2=np.broadcast_to(root @ root.T, (len(true) + 7, 3, 3)),
     )
-    own = score_particles(
-        found, shot, build_rig(scene).cameras, Recording(shot.observation.images, scene.sensor)
-    )
+    recording = Recording(shot.observation.images, scene.sensor)
+    own = score_particles(found, shot, build_rig(scene).cameras, recording)
     task = score_frame(data, found, shot.particles, 0)
     assert own["recall"] == pytest.approx(100.0 * float(task["recall"] or 0.0), abs=0.01)
     for key, digits in (("f1", 4), ("rms_px", 4), ("coverage_68", 3), ("coverage_95", 3)):
@@ -80,21 +79,18 @@ def test_light_scatters_between_cameras_as_the_case_says() -> None:
     assert scatter == pytest.approx(0.3, abs=0.03)
 
 
-PAGE = Path(__file__).resolve().parents[3] / "docs/using/quality.md"
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs/using/quality.md"
 
 
 def cases(sign: float) -> list[dict[str, Any]]:
-    return [
-        {
-            "solver": "bayesian_ipr",
-            "figures": {
-                key: float(n) if key != "followed" else None
-                for key, _ in quality_without_truth.PAIRS
-            },
-            "true": {true: sign * float(np.exp(n)) for _, true in quality_without_truth.PAIRS},
-        }
-        for n in range(5)
-    ]
+    made = []
+    for n in range(5):
+        pairs = quality_without_truth.PAIRS
+        figures = {key: float(n) if key != "followed" else None for key, _ in pairs}
+        true = {true: sign * float(np.exp(n)) for _, true in pairs}
+        made.append({"solver": "bayesian_ipr", "figures": figures, "true": true})
+    return made
 
 
 def test_ranks_are_compared_where_both_are_known() -> None:
@@ -119,7 +115,6 @@ def test_scenes_of_cases() -> None:
     assert quality_without_truth.make_scene(0.03, "bright", "true cameras").calibration is None
 
 
-ROOT = Path(__file__).resolve().parents[3]
 RECORDS: list[dict[str, Any]] = [
     {"case": "tracking-easy", "solver": "own", "label": None, "f1": 0.99},
     {"case": "tracking-easy", "solver": "optv", "label": "second", "f1": None},
@@ -129,15 +124,9 @@ RECORDS: list[dict[str, Any]] = [
 
 
 def test_a_table_has_a_row_for_each_case_and_a_column_for_each_solver() -> None:
-    lines = standard_tables.table(
-        standard_tables.collect(RECORDS, "tracking-", "f1", 3)
-    ).splitlines()
-    assert lines == [
-        "| case | own | second |",
-        "|---|---|---|",
-        "| easy | 0.990 | - |",
-        "| hard | 0.700 | - |",
-    ]
+    text = standard_tables.table(standard_tables.collect(RECORDS, "tracking-", "f1", 3))
+    rows = ["| easy | 0.990 | - |", "| hard | 0.700 | - |"]
+    assert text.splitlines() == ["| case | own | second |", "|---|---|---|", *rows]
 
 
 def test_several_seeds_have_a_mean_and_an_interval() -> None:

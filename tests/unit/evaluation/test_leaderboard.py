@@ -18,7 +18,6 @@ from sabench.evaluation.leaderboard.page_content import cases_of
 from sabench.evaluation.leaderboard.standings import Board, boards_of, curves_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import latest, read_records
-from sabench.utils.errors import InputError
 from tests.helpers.refusals import refused
 from tests.system.test_board import record
 
@@ -26,24 +25,13 @@ SEEDS = (1, 2, 3, 4, 5)
 
 
 def results(solver: str, scores: dict[str, tuple[float, ...]], **changes: Any) -> list[Record]:
-    return [
-        record(
-            solver,
-            q,
-            **{
-                "seed": seed,
-                "case": level,
-                "scene_hash": level,
-                "difficulty": level,
-                "suite": "trial",
-                "dataset": f"{level}-{seed}",
-                "rms_px": 0.1 + q / 7.0,
-                **changes,
-            },
-        )
-        for level, values in scores.items()
-        for seed, q in zip(SEEDS, values, strict=False)
-    ]
+    made = []
+    for level, values in scores.items():
+        own = {"suite": "trial"} | dict.fromkeys(("case", "scene_hash", "difficulty"), level)
+        for seed, q in zip(SEEDS, values, strict=False):
+            run = {"seed": seed, "dataset": f"{level}-{seed}", "rms_px": 0.1 + q / 7.0}
+            made.append(record(solver, q, **(own | run | changes)))
+    return made
 
 
 def around(value: float, scatter: float = 0.01) -> tuple[float, ...]:
@@ -58,14 +46,15 @@ def board(records: list[Record]) -> Board:
 
 def standing(records: list[Record]) -> dict[str, tuple[int | None, list[int | None], list[str]]]:
     """Place, ranks and notes of every line by its solver."""
-    return {
-        line.result.row["solver"]: (
-            line.place,
-            [cell.rank for cell in line.cells],
-            [cell.note for cell in line.cells],
-        )
-        for line in board(records).lines
-    }
+    found = {}
+    for line in board(records).lines:
+        ranks, notes = [cell.rank for cell in line.cells], [cell.note for cell in line.cells]
+        found[line.result.row["solver"]] = line.place, ranks, notes
+    return found
+
+
+def places(records: list[Record]) -> dict[str, int | None]:
+    return {name: place for name, (place, *_) in standing(records).items()}
 
 
 # Ranks
@@ -113,12 +102,12 @@ def test_a_missing_case_counts_as_the_rank_after_the_last() -> None:
 
 
 def test_solvers_are_placed_by_their_mean_rank() -> None:
-    good, fair = (
-        {"easy": around(0.9), "hard": around(0.8)},
-        {"easy": around(0.7), "hard": around(0.6)},
-    )
-    found = standing([*results("fair", fair), *results("good", good)])
-    assert found == {"good": (1, [1, 1], ["", ""]), "fair": (2, [2, 2], ["", ""])}
+    good = results("good", {"easy": around(0.9), "hard": around(0.8)})
+    fair = results("fair", {"easy": around(0.7), "hard": around(0.6)})
+    assert standing([*fair, *good]) == {
+        "good": (1, [1, 1], ["", ""]),
+        "fair": (2, [2, 2], ["", ""]),
+    }
 
 
 def test_one_lucky_seed_ranks_before_nobody() -> None:
@@ -197,7 +186,7 @@ def test_equal_counts_alone_are_not_one_result() -> None:
     counted = [
         record(name, task="see_through", read_percent=100.0, suite="trial") for name in ("a", "b")
     ]
-    assert {name: place for name, (place, *_) in standing(counted).items()} == {"a": 1, "b": 1}
+    assert places(counted) == {"a": 1, "b": 1}
 
 
 def test_one_solver_on_two_machines_is_one_entry() -> None:
@@ -207,15 +196,14 @@ def test_one_solver_on_two_machines_is_one_entry() -> None:
         *results("a", {"easy": (0.99,)}, machine={"cpu": "another"}),
         *results("b", {"easy": around(0.7)}),
     ]
-    assert {name: place for name, (place, *_) in standing(records).items()} == {"a": 1, "b": 2}
+    assert places(records) == {"a": 1, "b": 2}
 
 
 def test_another_version_of_a_case_or_of_its_data_is_not_compared() -> None:
     old = results("old", {"easy": around(0.9)}, scene_hash="older", date="2026-01-01T00:00:00Z")
     new = results("new", {"easy": around(0.1)}, date="2026-02-01T00:00:00Z")
     assert list(standing([*old, *new])) == ["new"]
-    other = [one | {"identity": "of an older simulation"} for one in old]
-    other = [one | {"scene_hash": "easy"} for one in other]
+    other = [one | {"identity": "of an older simulation", "scene_hash": "easy"} for one in old]
     found = standing([*other, *new])
     assert found["new"][0] == 1
     assert found["old"] == (None, [None], ["0 of 5 seeds"])
@@ -259,20 +247,15 @@ def test_a_column_of_several_cases_is_their_mean() -> None:
 
 
 def test_speed_counts_above_the_stated_score_only() -> None:
-    head: dict[str, Any] = {"reference_s": 0.5}
+    entries = ("slow", 0.9, 9.0), ("quick", 0.8, 2.0), ("wrong", 0.1, 0.1), ("unknown", 0.85, None)
     records = [
-        *results("slow", {"easy": around(0.9)}, seconds=9.0, **head),
-        *results("quick", {"easy": around(0.8)}, seconds=2.0, **head),
-        *results("wrong", {"easy": around(0.1)}, seconds=0.1, **head),
-        *results("unknown", {"easy": around(0.85)}, seconds=None, **head),
+        one
+        for name, q, seconds in entries
+        for one in results(name, {"easy": around(q)}, seconds=seconds, reference_s=0.5)
     ]
     cells = {line.result.row["solver"]: line.cells[0] for line in board(records).lines}
-    assert {name: cell.fastest for name, cell in cells.items()} == {
-        "slow": False,
-        "unknown": False,
-        "quick": True,
-        "wrong": False,
-    }
+    assert [name for name, cell in cells.items() if cell.fastest] == ["quick"]
+    assert len(cells) == 4
     assert not cells["wrong"].sufficient
     assert cells["quick"].kernels == 4.0
 
@@ -305,16 +288,8 @@ def taped(
 def test_result_files_come_out_as_they_went_in(tmp_path: Path, ending: str) -> None:
     path, content = tmp_path / f"a.{ending}", bytes(range(256)) * 50
     if ending == "zip":
-        zipped(
-            path,
-            {
-                "b/two.h5": content,
-                "notes.txt": b"no result",
-                "__MACOSX/._two.h5": b"no result",
-                "__MACOSX/._card.toml": b"no card",
-                "b/card.toml": b"card",
-            },
-        )
+        others = dict.fromkeys(("notes.txt", "__MACOSX/._two.h5", "__MACOSX/._card.toml"), b"none")
+        zipped(path, {"b/two.h5": content, "b/card.toml": b"card", **others})
     else:
         taped(path, "b/two.h5", content)
     with submitted_files(path) as found:
@@ -337,8 +312,16 @@ def test_a_folder_and_a_single_file(tmp_path: Path) -> None:
         assert [name for name, _ in found.results] == ["notes.txt"]
 
 
-def bomb(path: Path) -> Path:
-    return zipped(path, {"a.h5": bytes(50_000_000)})
+def same_names(path: Path) -> Path:
+    with tarfile.open(path, "w") as file:
+        for _ in range(2):
+            file.addfile(tarfile.TarInfo("a.h5"))
+    return path
+
+
+def no_zip(path: Path) -> Path:
+    path.write_bytes(b"PK no zip")
+    return path
 
 
 def long_name(path: Path) -> Path:
@@ -350,59 +333,40 @@ def long_name(path: Path) -> Path:
     return path
 
 
-def many(path: Path) -> Path:
-    return zipped(path, {f"{number}.h5": b"" for number in range(1001)})
+LARGE, LINK = bytes(50_000_000), 0o120777
+BAD: dict[str, Make] = {
+    "a.zip": lambda path: zipped(path, {"/etc/x.h5": b"x"}),
+    "b.zip": lambda path: zipped(path, {"a/../../x.h5": b"x"}),
+    "c.zip": lambda path: zipped(path, {"c:\\x.h5": b"x"}),
+    "d.zip": lambda path: zipped(path, {"x.h5": b"/etc/passwd"}, LINK),
+    "e.zip": lambda path: zipped(path, {"x.h5": b"x"}, method=zipfile.ZIP_LZMA),
+    "f.zip": lambda path: zipped(path, {"a.h5": LARGE}),
+    "g.zip": lambda path: zipped(path, {f"{number}.h5": b"" for number in range(1001)}),
+    "h.zip": lambda path: zipped(path, {"notes.txt": b"x"}),
+    "i.zip": no_zip,
+    "j.tar": lambda path: taped(path, "x.h5", kind=tarfile.SYMTYPE, target="/etc/passwd"),
+    "k.tar": lambda path: taped(path, "x.h5", kind=tarfile.LNKTYPE, target="../x"),
+    "l.tar": lambda path: taped(path, "x.h5", kind=tarfile.CHRTYPE),
+    "m.tar": lambda path: taped(path, "../x.h5", b"x"),
+    "n.tar.gz": lambda path: taped(path, "x.h5", LARGE),
+    "o.tar.gz": long_name,
+    "p.tar": same_names,
+}
 
 
-BAD: list[tuple[str, Make, str]] = [
-    ("a.zip", lambda path: zipped(path, {"/etc/x.h5": b"x"}), "names inside the archive"),
-    ("b.zip", lambda path: zipped(path, {"a/../../x.h5": b"x"}), "names inside the archive"),
-    ("c.zip", lambda path: zipped(path, {"c:\\x.h5": b"x"}), "names inside the archive"),
-    ("d.zip", lambda path: zipped(path, {"x.h5": b"/etc/passwd"}, 0o120777), "a link or device"),
-    ("e.zip", lambda path: zipped(path, {"x.h5": b"x"}, method=zipfile.ZIP_LZMA), "stored or defl"),
-    ("f.zip", bomb, "times its size"),
-    ("g.zip", many, "at most 1000 files"),
-    ("h.zip", lambda path: zipped(path, {"notes.txt": b"x"}), "found none"),
-    ("i.zip", lambda path: (path.write_bytes(b"PK no zip") and path) or path, "an intact archive"),
-    (
-        "j.tar",
-        lambda path: taped(path, "x.h5", kind=tarfile.SYMTYPE, target="/etc/passwd"),
-        "a link or device",
-    ),
-    (
-        "k.tar",
-        lambda path: taped(path, "x.h5", kind=tarfile.LNKTYPE, target="../x"),
-        "a link or device",
-    ),
-    ("l.tar", lambda path: taped(path, "x.h5", kind=tarfile.CHRTYPE), "a link or device"),
-    ("m.tar", lambda path: taped(path, "../x.h5", b"x"), "names inside the archive"),
-    ("n.tar.gz", lambda path: taped(path, "x.h5", bytes(50_000_000)), "times its size"),
-    ("o.tar.gz", long_name, "to be read at once"),
-]
-
-
-@pytest.mark.parametrize(("name", "make", "words"), BAD, ids=[name for name, *_ in BAD])
-def test_dishonest_archives_are_refused(tmp_path: Path, name: str, make: Make, words: str) -> None:
-    path = make(tmp_path / name)
-    with pytest.raises(InputError, match=words), submitted_files(path):
+@pytest.mark.parametrize("name", BAD)
+def test_dishonest_archives_are_refused(tmp_path: Path, name: str) -> None:
+    path = BAD[name](tmp_path / name)
+    with refused(name), submitted_files(path):
         pytest.fail("it was opened")
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_two_members_of_one_name(tmp_path: Path) -> None:
-    path = tmp_path / "a.tar"
-    with tarfile.open(path, "w") as file:
-        for _ in range(2):
-            file.addfile(tarfile.TarInfo("a.h5"))
-    with refused(), submitted_files(path):
-        pytest.fail("it was opened")
-
-
-def test_links_in_folders(tmp_path: Path) -> None:
-    (tmp_path / "a.h5").symlink_to("/etc/passwd")
-    with refused(), submitted_files(tmp_path):
-        pytest.fail("it was opened")
-    with refused(), submitted_files(tmp_path / "a.h5"):
+@pytest.mark.parametrize("part", ["", "a.h5"])
+def test_links_in_folders(tmp_path: Path, part: str) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.h5").symlink_to("/etc/passwd")
+    with refused("a.h5"), submitted_files(tmp_path / "in" / part):
         pytest.fail("it was opened")
 
 
@@ -411,10 +375,9 @@ RECORDS = Path(__file__).resolve().parents[3] / "leaderboard" / "records"
 
 def found(records: list[Record]) -> list[tuple[str, list[tuple[float, str]]]]:
     cases = cases_of(over_seeds(records))
-    return [
-        (one.quantity, [(value, cases[place][0]["case"]) for value, place in one.points])
-        for one in curves_of(cases)
-    ]
+    name = [case[0]["case"] for case in cases]
+    curves = curves_of(cases)
+    return [(one.quantity, [(value, name[at]) for value, at in one.points]) for one in curves]
 
 
 def varied(name: str, axes: dict[str, Any], **changes: Any) -> Record:
@@ -459,6 +422,5 @@ def test_bundled_scenes_are_compared_as_a_whole() -> None:
     curves = dict(found([one for one in records if one["task"] == "reconstruction"]))
     assert curves["cameras"] == [(4, "reconstruction-cameras"), (9, "reconstruction-standard")]
     assert curves["calibration error, px"][0] == (0.0, "reconstruction-standard")
-    assert {"reconstruction-easy", "reconstruction-hard"}.isdisjoint(
-        name for points in curves.values() for _, name in points
-    )
+    names = {name for points in curves.values() for _, name in points}
+    assert not names & {"reconstruction-easy", "reconstruction-hard"}

@@ -20,6 +20,7 @@ from sabench.simulation.in_memory import simulate
 from sabench.simulation.recording import parts
 from sabench.simulation.shard_job import Sample, stream, stream_key
 from sabench.utils.arrays import U16
+from sabench.utils.errors import InputError
 from tests.helpers.refusals import check_sentence, refused
 
 
