@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sabench import plugins
-from tests.helpers.refusals import refused
+from tests.helpers.refusals import check_sentence, refused
 
 BROKEN = '"""Gone."""\n\nfrom sabench.reproject import sweep\n'
 
@@ -36,8 +36,8 @@ def test_a_broken_plug_in_is_one_fault_and_hides_nothing(folder: Path) -> None:
     entries, faults = plugins.readable("solvers")
     assert entries == before
     assert len(faults) == 2
-    assert "gone.py: line 3: there is no module sabench.reproject" in faults[0]
-    assert "torn.py: line 1" in faults[1]
+    check_sentence(faults[0], "gone.py: line 3", "sabench.reproject")
+    check_sentence(faults[1], "torn.py: line 1")
     assert plugins.load("solvers", "msa").name == "msa"
 
 
@@ -69,7 +69,7 @@ def test_a_folder_that_is_named_twice_counts_once(
 
 def test_two_plug_ins_of_one_name_are_refused_and_stop_no_other(folder: Path) -> None:
     (folder / "asa.py").write_text(BROKEN, encoding="utf-8")
-    with refused():
+    with refused("asa"):
         plugins.load("solvers", "asa")
     assert plugins.load("solvers", "msa").name == "msa"
     assert "asa" not in [entry.name for entry in plugins.readable("solvers")[0]]
@@ -77,8 +77,9 @@ def test_two_plug_ins_of_one_name_are_refused_and_stop_no_other(folder: Path) ->
 
 def test_lists_of_a_task_warn_of_a_broken_plug_in(folder: Path) -> None:
     (folder / "gone.py").write_text(BROKEN, encoding="utf-8")
-    with pytest.warns(UserWarning, match=r"gone\.py"):
+    with pytest.warns(UserWarning) as said:
         names = plugins.list_solvers("velocimetry")
+    check_sentence(str(said[0].message), "gone.py")
     assert names == ["piv2d", "piv3d", "piv3d_plain"]
     assert "gone" in plugins.list_solvers()
 

@@ -18,7 +18,7 @@ from sabench.dataset.import_recording import check_numbers
 from sabench.dataset.sample_set import SampleSet
 from sabench.images.image_files import Files
 from sabench.utils.files import sha256
-from tests.helpers.refusals import refused
+from tests.helpers.refusals import check_sentence, refused
 from tests.helpers.sample_sets import COUNT, make
 from tests.unit.simulation.test_streaming import make_scene
 
@@ -37,7 +37,7 @@ def test_places_count_from_both_ends(samples: SampleSet) -> None:
     assert [one.number for one in samples[3:9:2]] == numbers[3:9:2]
     assert samples[np.int64(2)].number == numbers[2]
     for place in (COUNT, -COUNT - 1):
-        with pytest.raises(IndexError, match=f"expected 0 to {COUNT - 1}"):
+        with refused(kind=IndexError):
             samples[place]
 
 
@@ -158,11 +158,9 @@ def test_frames_of_version_1_are_samples(tmp_path: Path) -> None:
 
 
 def test_groups_of_pulses_are_samples(tmp_path: Path) -> None:
-    scene = make_scene(
-        frames=4,
-        timing={"pulses_s": [0.0, 1e-4], "rate_hz": 10.0},
-        flow={"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]},
-    )
+    timing = {"pulses_s": [0.0, 1e-4], "rate_hz": 10.0}
+    flow = {"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]}
+    scene = make_scene(frames=4, timing=timing, flow=flow)
     data = sabench.generate(scene, tmp_path / "pairs", seed=3, backend="splat")
     frames = sabench.open_samples(data.root)
     assert len(frames) == 2
@@ -191,27 +189,20 @@ def test_a_damaged_shard_is_named(samples: SampleSet, tmp_path: Path) -> None:
         _ = sabench.open_samples(copy)[0]
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> SampleSet:
-    return make(tmp_path_factory.mktemp("samples") / "whole")
-
-
 @pytest.fixture
-def copy(whole: SampleSet, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(whole.root, tmp_path / "copy"))
+def copy(samples: SampleSet, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(samples.root, tmp_path / "copy"))
 
 
-@pytest.mark.slow
-def test_an_intact_set_has_no_faults(whole: SampleSet) -> None:
-    assert sabench.verify(whole.root) == []
+def test_an_intact_set_has_no_faults(samples: SampleSet) -> None:
+    assert sabench.verify(samples.root) == []
 
 
 def test_verify_names_a_shard_that_is_cut_off(copy: Path) -> None:
     file = copy / "observation" / "train-00001.h5"
     file.write_bytes(file.read_bytes()[:999])
     (fault,) = sabench.verify(copy)
-    assert "train-00001.h5" in fault
-    assert "999 of" in fault
+    check_sentence(fault, "train-00001.h5", "999")
 
 
 def test_verify_names_shards_that_are_swapped(copy: Path) -> None:
@@ -221,19 +212,17 @@ def test_verify_names_shards_that_are_swapped(copy: Path) -> None:
     (copy / "x").rename(other)
     faults = sabench.verify(copy)
     assert len(faults) == 2
-    assert "train-00000.h5" in faults[0]
-    assert "those of truth/train-00001.h5" in faults[0]
+    check_sentence(faults[0], "train-00000.h5", "truth/train-00001.h5")
 
 
 def test_verify_names_a_shard_that_is_doubled_or_missing(copy: Path) -> None:
     shutil.copyfile(copy / "truth" / "train-00000.h5", copy / "truth" / "train-00002.h5")
     (copy / "truth" / "test-00000.h5").unlink()
     shutil.copyfile(copy / "truth" / "train-00001.h5", copy / "truth" / "train-00009.h5")
-    faults = sabench.verify(copy)
-    assert [fault for fault in faults if "train-00009.h5: a file that the manifest" in fault]
-    assert [fault for fault in faults if "train-00002.h5" in fault and "train-00000.h5" in fault]
-    assert [fault for fault in faults if "test-00000.h5: missing" in fault]
-    assert len(faults) == 3
+    missing, double, unknown = sorted(sabench.verify(copy))
+    check_sentence(missing, "test-00000.h5")
+    check_sentence(double, "train-00002.h5", "train-00000.h5")
+    check_sentence(unknown, "train-00009.h5")
 
 
 def forge(folder: Path, **keys: Any) -> None:
@@ -250,19 +239,19 @@ def forge(folder: Path, **keys: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("change", "key"),
     [
-        (lambda shards: shards[1:], "train-00000 1 time(s), got 0"),
-        (lambda shards: [*shards, shards[0]], "train-00000 1 time(s), got 2"),
-        (lambda shards: [{**shards[0], "split": "test"}, *shards[1:]], "of train, got 4"),
-        (lambda shards: [{**shards[0], "last": 0}, *shards[1:]], "train-00000: expected 4 samples"),
+        (lambda shards: shards[1:], "train-00000"),
+        (lambda shards: [*shards, shards[0]], "train-00000"),
+        (lambda shards: [{**shards[0], "split": "test"}, *shards[1:]], "train"),
+        (lambda shards: [{**shards[0], "last": 0}, *shards[1:]], "train-00000"),
     ],
 )
-def test_verify_finds_shards_that_leave_the_plan(copy: Path, change: Any, named: str) -> None:
+def test_verify_finds_shards_that_leave_the_plan(copy: Path, change: Any, key: str) -> None:
     """The manifest's own hashes are right: a shard of another split would leak samples."""
     shards = json.loads((copy / "manifest.json").read_text())["shards"]
     forge(copy, shards=change(shards))
-    assert any(named in fault for fault in sabench.verify(copy)), sabench.verify(copy)
+    check_sentence(" ".join(sabench.verify(copy)), key)
 
 
 def test_verify_finds_samples_of_another_split_in_a_shard(copy: Path) -> None:
@@ -271,7 +260,7 @@ def test_verify_finds_samples_of_another_split_in_a_shard(copy: Path) -> None:
         shard["number"][0] = 0
     forge(copy)
     (fault,) = sabench.verify(copy)
-    assert "test-00000.h5: number: expected the samples" in fault
+    check_sentence(fault, "test-00000.h5: number")
 
 
 def test_the_observation_side_tells_nothing_of_the_truth(copy: Path, tmp_path: Path) -> None:
@@ -335,12 +324,11 @@ def taken(**names: list[str]) -> Files:
 
 def test_a_gap_that_others_do_not_have_is_named() -> None:
     """With as many files in the range, too."""
-    with_gap = taken(
-        a=["a/B0001.tif", "a/B0002.tif", "a/B0003.tif"],
-        b=["b/B0001.tif", "b/B0003.tif", "b/B0004.tif"],
-    )
+    there = {"a": (1, 2, 3), "b": (1, 3, 4)}
+    files = {name: [f"{name}/B000{n}.tif" for n in numbers] for name, numbers in there.items()}
+    with_gap = taken(**files)
     for chosen in (EVERY, slice(0, 2)):
-        with refused("b"):
+        with refused("b: ", "number 2"):
             check_numbers(with_gap, chosen, [])
 
 
@@ -364,4 +352,5 @@ def test_frames_without_a_gap_are_taken(names: dict[str, list[str]]) -> None:
 def test_cameras_that_begin_with_other_numbers_are_said() -> None:
     notes: list[str] = []
     check_numbers(taken(a=["a1.tif", "a2.tif"], b=["b11.tif", "b12.tif"]), EVERY, notes)
-    assert notes == ["frames are paired in order, and images begin with numbers 1 of a, 11 of b"]
+    (note,) = notes
+    check_sentence(note, "1 of a, 11 of b")
