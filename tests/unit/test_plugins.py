@@ -37,7 +37,7 @@ def test_a_broken_plug_in_is_one_fault_and_hides_nothing(folder: Path) -> None:
     assert entries == before
     assert len(faults) == 2
     check_sentence(faults[0], "gone.py: line 3", "sabench.reproject")
-    check_sentence(faults[1], "torn.py: line 1")
+    assert "torn.py: line 1" in faults[1]
     assert plugins.load("solvers", "msa").name == "msa"
 
 
@@ -77,9 +77,8 @@ def test_two_plug_ins_of_one_name_are_refused_and_stop_no_other(folder: Path) ->
 
 def test_lists_of_a_task_warn_of_a_broken_plug_in(folder: Path) -> None:
     (folder / "gone.py").write_text(BROKEN, encoding="utf-8")
-    with pytest.warns(UserWarning) as said:
+    with pytest.warns(UserWarning, match=r"gone\.py"):
         names = plugins.list_solvers("velocimetry")
-    check_sentence(str(said[0].message), "gone.py")
     assert names == ["piv2d", "piv3d", "piv3d_plain"]
     assert "gone" in plugins.list_solvers()
 

@@ -147,7 +147,7 @@ def test_photons_and_diameters_are_those_of_simulated_images() -> None:
 
 @pytest.mark.slow
 def test_the_brightest_pixel_is_that_of_a_simulated_particle_at_a_pixel_s_centre() -> None:
-    exact = {"sensor__shot_noise": False, "sensor__read_noise_e": 0.0}
+    exact: dict[str, Any] = {"sensor__shot_noise": False, "sensor__read_noise_e": 0.0}
     scene = changed(particles__count=1, volume__size_mm=[2, 2, 2], **exact)
     made, shot = plan(scene), simulate(scene)
     brightest = float(shot.observation.images.max())

@@ -27,7 +27,9 @@ SEEDS = (1, 2, 3, 4, 5)
 def results(solver: str, scores: dict[str, tuple[float, ...]], **changes: Any) -> list[Record]:
     made = []
     for level, values in scores.items():
-        own = {"suite": "trial"} | dict.fromkeys(("case", "scene_hash", "difficulty"), level)
+        own: dict[str, Any] = {"suite": "trial"} | dict.fromkeys(
+            ("case", "scene_hash", "difficulty"), level
+        )
         for seed, q in zip(SEEDS, values, strict=False):
             run = {"seed": seed, "dataset": f"{level}-{seed}", "rms_px": 0.1 + q / 7.0}
             made.append(record(solver, q, **(own | run | changes)))

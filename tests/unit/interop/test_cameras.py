@@ -76,7 +76,7 @@ def difference_px(
 
 
 CENTRED = {"distortion": LENS, "principal_point_px": (119.5, 119.5)}
-ASIDE = {"principal_point_px": (121.3, 117.8)}
+ASIDE: dict[str, Any] = {"principal_point_px": (121.3, 117.8)}
 ROUND_TRIPS = [
     ("openptv", {}),
     ("openptv", CENTRED),

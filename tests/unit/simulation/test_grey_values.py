@@ -192,5 +192,6 @@ def test_a_temporal_minimum_needs_raw_frames(frames: int, steps: list[str]) -> N
     ],
 )
 def test_impossible_tables_are_refused(table: str, key: str, given: dict[str, Any]) -> None:
+    tables: dict[str, Any] = {table: given}
     with refused(f"{table}.{key}"):
-        simulate(quick_with(**{table: given}))
+        simulate(quick_with(**tables))

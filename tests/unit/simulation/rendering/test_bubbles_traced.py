@@ -408,7 +408,8 @@ def test_rays_given_up_between_walls_find_nothing(
     from sabench.simulation.rendering import bubble_integrator
 
     grid = [[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)]
-    what, asked = bubbles(grid, [[1.5] * 3] * len(grid)), []
+    what = bubbles(grid, [[1.5] * 3] * len(grid))
+    asked: list[Any] = []
     fast = shot(camera(), what, diffuser(half), tank=tank)
 
     def never(_device: Any, _ray: Any, _here: Any, passed: Any) -> Any:

@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import replace
+from typing import Any
 
 import miepython
 import numpy as np
@@ -134,7 +135,7 @@ def test_the_table_holds_the_angles_of_all_light_that_is_caught_and_few_others()
 @pytest.mark.parametrize("z_mm", [-200.0, 100.0, 1500.0])
 def test_width_in_air_is_that_of_the_thin_lens(z_mm: float) -> None:
     f, number, distance, pitch, diameter = 85.0, 4.0, 103.0, 0.01, 0.05
-    place = {"center_mm": (0.0, 0.0, -400.0), "principal_distance_mm": distance}
+    place: dict[str, Any] = {"center_mm": (0.0, 0.0, -400.0), "principal_distance_mm": distance}
     camera = replace(SMALL, pixel_mm=pitch, focal_length_mm=f, f_number=number, **place)
     light = make_scene(wall=None, illumination={"thickness_mm": 1e4})
     particle = cloud(np.array([[0.0, 0.0, z_mm]]), diameter)
