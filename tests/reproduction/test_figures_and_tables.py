@@ -61,9 +61,6 @@ def parallel_camera(x_mm: float) -> Camera:
     )
 
 
-# Planes
-
-
 @pytest.mark.parametrize("ratio", [0.1, 0.5])
 @pytest.mark.parametrize("z_mm", [0.0, 50.0])
 def test_next_plane_is_where_the_image_moves_by_one_pixel(ratio: float, z_mm: float) -> None:
@@ -90,9 +87,6 @@ def test_first_order_is_the_thesis_table_and_the_limit_of_the_exact_ratio() -> N
     assert theory.planes(10.0, 0.05 * 2.5) == pytest.approx(80.0)
 
 
-# Ghosts
-
-
 @pytest.mark.parametrize(
     ("cameras", "area", "ppp", "depth"), [(2, 4, 0.05, 12), (3, 9, 0.03, 20), (4, 9, 0.04, 15)]
 )
@@ -114,9 +108,6 @@ def test_ghosts_follow_the_theory(cameras: int, area: int, ppp: float, depth: in
         shifted = [np.roll(image, (i * z, -i * z), axis=(0, 1)) for i, image in enumerate(images)]
         lit += np.prod(shifted, axis=0).sum()
     assert lit / count == pytest.approx(ghost_ratio(count / size**2, cameras, area, depth), rel=0.1)
-
-
-# Operations
 
 
 @pytest.mark.parametrize(
@@ -151,9 +142,6 @@ def test_operations_grow_with_cameras_and_iterations() -> None:
     assert operations("mart", mart) == (0.0, 4 * 10 * 8 * 1e6 * 84)
     smart = theory.Setup(2, voxels=1e6, lit_voxels=1e4, iterations=3)
     assert operations("mlos-smart", smart) == (2.4e8, 3 * 51 * 1e4)
-
-
-# Histograms
 
 
 def test_normal_values_are_normal_and_particles_leave_the_core_so() -> None:

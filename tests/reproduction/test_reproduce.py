@@ -269,14 +269,14 @@ def test_the_public_function_yields_rows_and_figures() -> None:
         (1.04, 1.0, "smaller", "reproduced"),
         (0.94, 1.0, "smaller", "exceeds"),
         (1.06, 1.0, "smaller", "below"),
-        (1.06, 1.0, None, "differs"),
+        (1.06, 1.0, "neither", "differs"),
         (3.0, None, "larger", UNSTATED),
-        (1.0, None, None, UNSTATED),
+        (1.0, None, "neither", UNSTATED),
     ],
 )
 def test_verdicts(measured: float, thesis: float | None, better: Any, expected: str) -> None:
     """A smaller error exceeds, and a quantity differs."""
-    assert verdict(measured, thesis, *[better] * (better is not None)) == expected
+    assert verdict(measured, thesis, better) == expected
 
 
 def test_rows_hold_the_mean_over_seeds() -> None:

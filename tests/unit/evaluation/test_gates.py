@@ -58,9 +58,6 @@ def found(
     return [(one.figure or one.text, one.worse) for one in compare(before, now, tracks, tolerances)]
 
 
-# Figures
-
-
 @pytest.mark.parametrize(
     ("task", "figure", "before", "now", "change"),
     [
@@ -154,9 +151,6 @@ def test_rounding_is_allowed_and_lost_pixels_are_not() -> None:
             assert default_tolerance(task.name, score.key).allowed(1.0) > 1e-4
     assert default_tolerance(DATA, "column_mean").allowed(500.0) < 0.01
     assert default_tolerance(DATA, "retraced_px").allowed(0.0) < 1e-5
-
-
-# Files
 
 
 def baseline(**changes: Any) -> Baseline:
@@ -255,9 +249,6 @@ def test_solvers_of_one_name_need_labels() -> None:
         names_of([two[0], two[0]], "case a")
 
 
-# JUnit
-
-
 def report(*worse: Finding, news: tuple[Finding, ...] = ()) -> Report:
     return Report("tiny", worse, news, baseline())
 
@@ -282,9 +273,6 @@ def test_junit_has_a_case_for_the_data_and_each_solver(tmp_path: Path) -> None:
     assert "case <gone> & more" in (suite[2].findtext("failure") or "")
     assert suite[0].find("failure") is None
     assert suite[0].findtext("system-out") == better_.sentence
-
-
-# Second implementations
 
 
 def slanted(**changes: Any) -> Scene:

@@ -59,9 +59,6 @@ def places(records: list[Record]) -> dict[str, int | None]:
     return {name: place for name, (place, *_) in standing(records).items()}
 
 
-# Ranks
-
-
 def test_entries_that_seeds_cannot_tell_apart_share_a_rank() -> None:
     close = np.array([around(0.80, 0.05), around(0.79, 0.05)[::-1], around(0.5, 0.05)])
     assert ranks(close, larger=True) == [1, 1, 3]
@@ -98,9 +95,6 @@ def test_a_result_sent_again_takes_no_rank() -> None:
 def test_a_missing_case_counts_as_the_rank_after_the_last() -> None:
     assert mean_rank([1, None, 3], [4, 4, 4]) == 3.0
     assert mean_rank([1, 2], [2, 2]) == 1.5
-
-
-# Standings
 
 
 def test_solvers_are_placed_by_their_mean_rank() -> None:
@@ -243,9 +237,6 @@ def test_a_column_of_several_cases_is_their_mean() -> None:
     assert cell.score is not None
     assert cell.score.mean == pytest.approx(0.3)
     assert cell.score.count == 5
-
-
-# Speed
 
 
 def test_speed_counts_above_the_stated_score_only() -> None:

@@ -30,9 +30,6 @@ def scene_cases(suite: str | Path) -> list[SceneCase]:
     return [case for case in load_suite(suite)[1] if isinstance(case, SceneCase)]
 
 
-# Statistics
-
-
 def test_mean_and_interval_are_those_of_student() -> None:
     values = [0.71, 0.74, 0.69, 0.75, 0.72]
     found = mean_of(values)
@@ -60,9 +57,6 @@ def test_the_interval_holds_the_true_mean_as_often_as_it_says() -> None:
     found = [mean_of(rng.normal(2.0, 3.0, 4).tolist()) for _ in range(2000)]
     inside = [abs(mean.mean - 2.0) <= (mean.half_width or 0.0) for mean in found if mean]
     assert np.mean(inside) == pytest.approx(0.95, abs=0.015)
-
-
-# Suites
 
 
 def test_many_equal_names_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,9 +195,6 @@ def test_bundled_suites_are_sound(name: str) -> None:
     suite, cases = load_suite(name)
     assert len({case.file_name for case in cases}) == len(cases)
     assert name in ("demo", "quick", "ci") or len(suite.seeds) >= 5
-
-
-# The thesis's arrays
 
 
 THESIS = [

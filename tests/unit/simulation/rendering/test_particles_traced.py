@@ -102,12 +102,9 @@ def test_rays_of_a_strongly_distorted_lens_meet_the_formulas() -> None:
 
 
 def test_corners_that_the_lens_does_not_reach_are_dark() -> None:
-    lens = {
-        "principal_distance_mm": 0.4,
-        "focal_length_mm": 0.39,
-        "distortion": Distortion(k1=-0.3),
-    }
-    camera = replace(SMALL, rows=90, columns=130, principal_point_px=(66.0, 44.0), **lens)
+    near = replace(SMALL, principal_distance_mm=0.4, focal_length_mm=0.39)
+    camera = replace(near, rows=90, columns=130, principal_point_px=(66.0, 44.0))
+    camera = replace(camera, distortion=Distortion(k1=-0.3))
     positions = np.random.default_rng(8).uniform([-40.0, -40.0, 40.0], [40.0, 40.0, 60.0], (60, 3))
     scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
     images = image_particles(scene, camera, cloud(positions, 3.0), None)

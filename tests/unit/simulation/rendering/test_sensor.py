@@ -132,18 +132,6 @@ def test_neighbours_do_not_depend_on_each_other(draw: object) -> None:
     assert_unrelated(image[:, :500], image[:, 500:])
 
 
-def test_frames_and_cameras_do_not_depend_on_each_other() -> None:
-    sensor = _COUNTER.model_copy(update={"read_noise_e": 20.0, "black_level_dn": 500.0})
-    light = np.full((300, 400), 400.0)
-    shots = [
-        expose(sensor, light, stream(seed, "sensor", frame, camera)).astype(np.float64) - 900.0
-        for seed, frame, camera in ((1, 0, 0), (1, 0, 1), (1, 1, 0), (2, 0, 0))
-    ]
-    for number, one in enumerate(shots):
-        for other in shots[number + 1 :]:
-            assert_unrelated(one, other)
-
-
 def noisy(light: F64) -> U16:
     sensor = _COUNTER.model_copy(update={"read_noise_e": 5.0, "black_level_dn": 100.0})
     return expose(sensor, light, np.random.default_rng(7))
