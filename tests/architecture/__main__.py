@@ -1,4 +1,4 @@
-"""Figures of a checkout: rooms, floors, arrows, circles and weight.
+"""Figures of a checkout: rooms, arrows, circles and weight.
 
 Run `python -m tests.architecture [CHECKOUT]`.
 """

@@ -28,8 +28,7 @@ def rooms(package: Path) -> set[str]:
 
 
 def arrows(package: Path, *, files: bool = False) -> Arrows:
-    """Pairs (importer, imported) of rooms, or of files. Imports inside functions and imports for
-    type checkers count, too."""
+    """Pairs (importer, imported) of rooms, or of files, with imports inside functions."""
     known = {_dotted(file, package.parent) for file in package.rglob("*.py")}
     found = set()
     for file in sorted(package.rglob("*.py")):

@@ -19,8 +19,7 @@ _MARKER = re.compile(r"<!-- (not run|file): (.+?) -->$")
 
 
 class Block(NamedTuple):
-    """A fenced code block. The marker before it, an HTML comment, may say why it is not run (`not
-    run: REASON`), or the name under which it is saved for later blocks (`file: NAME`)."""
+    """A fenced code block; a comment before it may say why it is not run, or name its file."""
 
     page: str
     line: int

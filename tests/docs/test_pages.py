@@ -49,8 +49,10 @@ def two_pages(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_good_site_has_no_faults(two_pages: Path) -> None:
+def test_a_good_site_has_no_faults_and_a_font_from_the_network_is_one(two_pages: Path) -> None:
     assert not list(site("check")["faults"](two_pages))
+    (two_pages / "a.css").write_text("@font-face { src: url('https://a.org/font.woff2') }")
+    assert len(list(site("check")["faults"](two_pages))) == 1
 
 
 @pytest.mark.parametrize(
@@ -66,11 +68,6 @@ def test_a_bad_reference_is_found(two_pages: Path, tag: str, target: str) -> Non
     (two_pages / "bad.html").write_text(tag)
     (fault,) = site("check")["faults"](two_pages)
     check_sentence(fault, f"bad.html: {target}")
-
-
-def test_a_font_from_the_network_is_found(two_pages: Path) -> None:
-    (two_pages / "a.css").write_text("@font-face { src: url('https://a.org/font.woff2') }")
-    assert len(list(site("check")["faults"](two_pages))) == 1
 
 
 def test_what_scrolls_takes_the_focus_and_headings_have_a_level() -> None:
@@ -147,14 +144,11 @@ def reference() -> dict[str, Any]:
     return names
 
 
-def test_every_key_has_a_description_and_a_typical_value() -> None:
+def test_every_key_has_a_description_and_a_typical_value_and_its_table_a_section() -> None:
     found = reference()["sections"]()
     assert len(found) > 50
     assert sum(len(section.keys) for section in found) > 300
     assert not reference()["faults"](found)
-
-
-def test_the_page_has_a_section_for_every_table() -> None:
     names = anchors("docs/reference/scene.md")
     assert {"calibration", "timing", "sensor", "bubbles-generator-bubble_field"} <= names
 
@@ -265,11 +259,8 @@ def test_readme_lists_every_solver_under_its_task() -> None:
     assert _listed() == found
 
 
-def test_tables_of_scores_are_those_of_the_tasks() -> None:
+def test_every_task_has_a_table_of_its_scores() -> None:
     names = [page.relative_to(ROOT).as_posix() for page in score_tables.outdated()]
     assert not names, f"run python -m tests.docs.score_tables --write: {', '.join(names)}"
-
-
-def test_every_task_has_a_table_of_scores() -> None:
     marked = re.findall(r"<!-- scores: (\w+) -->", "".join(read(page) for page in PAGES))
     assert sorted(marked) == sorted(tasks.NAMES)

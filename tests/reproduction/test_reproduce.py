@@ -79,9 +79,7 @@ def test_rows_as_a_table(command: Command) -> None:
 
 
 @pytest.mark.slow
-def test_curves_become_pictures_on_a_page_beside_all_values(
-    command: Command, tmp_path: Path
-) -> None:
+def test_curves_and_values_are_on_a_page(command: Command, tmp_path: Path) -> None:
     words = ("--figures", "pictures", "--json", "-o", "rows.json")
     done = succeed(command("reproduce", "fig-4-27", "fig-4-9", *words))
     items = Counter(row["item"] for row in json.loads(done.stdout))
@@ -242,7 +240,7 @@ def test_every_table_yields_rows(table: str, monkeypatch: pytest.MonkeyPatch) ->
         assert row.measured is not None
 
 
-def test_a_missing_folder_is_an_error_that_says_where_to_get_it(
+def test_a_missing_folder_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
     monkeypatch.setattr(plugins, "bundled_folder", lambda kind: tmp_path / kind)
@@ -296,8 +294,7 @@ def test_bounds_and_claims() -> None:
 
 @pytest.mark.parametrize("start", [0.5, 3.0, 20.0])
 def test_the_crossing_is_found_from_either_side(start: float) -> None:
-    """Crossings of a Q that falls as a straight line through 0.75. It is 0.75 at 3.0 for seed 1,
-    and at a little more for seed 2."""
+    """Q falls as a straight line: it is 0.75 at 3.0 for seed 1, and at 3.1 for seed 2."""
 
     def quality(per_mm3: float, seed: int) -> float:
         return 0.75 - 0.05 * (per_mm3 - 3.0 - 0.1 * (seed - 1))

@@ -135,7 +135,7 @@ def test_defocus_falls_as_the_f_number_rises() -> None:
 
 
 @pytest.mark.slow
-def test_photons_and_diameters_are_those_of_simulated_images() -> None:
+def test_photons_diameters_and_densities_are_those_of_simulated_images() -> None:
     scene = load_scene("quick")
     made, shot = plan(scene), simulate(scene)
     medians = [float(np.median(view.photons[view.visible])) for view in shot.views]
@@ -143,6 +143,12 @@ def test_photons_and_diameters_are_those_of_simulated_images() -> None:
     assert value(made, "photons") == pytest.approx(min(medians))
     assert value(made, "light_ratio") == pytest.approx(min(medians) / max(medians))
     assert value(made, "image_px") == pytest.approx(4.0 * np.mean(widths))
+    seen = np.mean([view.visible.sum() for view in shot.views])
+    assert value(made, "ppp") == pytest.approx(seen / (240 * 320))
+    assert value(made, "per_mm3") == pytest.approx(300 / (14.0 * 10.0 * 4.0))
+    area = math.pi / 4.0 * value(made, "image_px") ** 2
+    expected = value(made, "ppp_center") ** 3 * area**4 * 40  # (3.14), 40 planes of voxels
+    assert value(made, "ghosts_per_particle") == pytest.approx(expected)
 
 
 @pytest.mark.slow
@@ -153,17 +159,6 @@ def test_the_brightest_pixel_is_that_of_a_simulated_particle_at_a_pixel_s_centre
     brightest = float(shot.observation.images.max())
     grey = value(made, "peak_dn")
     assert 0.55 * grey < brightest <= 1.01 * grey  # in a corner of four pixels, at a centre
-
-
-def test_density_counts_the_particles_on_the_images() -> None:
-    scene = load_scene("quick")
-    made, shot = plan(scene), simulate(scene)
-    seen = np.mean([view.visible.sum() for view in shot.views])
-    assert value(made, "ppp") == pytest.approx(seen / (240 * 320))
-    assert value(made, "per_mm3") == pytest.approx(300 / (14.0 * 10.0 * 4.0))
-    area = math.pi / 4.0 * value(made, "image_px") ** 2
-    expected = value(made, "ppp_center") ** 3 * area**4 * 40  # (3.14), 40 planes of voxels
-    assert value(made, "ghosts_per_particle") == pytest.approx(expected)
 
 
 def test_two_pulses_straddle_the_gap_between_exposures() -> None:

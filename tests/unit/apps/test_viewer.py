@@ -275,13 +275,10 @@ def cloud_of(numbers: list[int], kind: int = FOUND, shift: float = 0.0) -> Cloud
     return Cloud.of_kind(position, kind, np.array(numbers, dtype=np.int64))
 
 
-def test_links_follow_trajectories_in_any_order() -> None:
+def test_links_follow_trajectories_of_the_truth_or_of_the_estimate_in_any_order() -> None:
     earlier, later = cloud_of([3, 1, 2]), cloud_of([2, 7, 3])
     assert link_to_earlier(later, earlier).tolist() == [2, -1, 0]
     assert link_to_earlier(later, None).tolist() == [-1, -1, -1]
-
-
-def test_true_and_estimated_trajectories_of_one_number_are_not_linked() -> None:
     earlier = cloud_of([1], TRUE) + cloud_of([1], GHOST)
     later = cloud_of([1], FOUND) + cloud_of([1], MISSED)
     assert link_to_earlier(later, earlier).tolist() == [1, 0]

@@ -17,8 +17,6 @@ from tests.helpers.commands import refuse, succeed
 from tests.helpers.refusals import check_sentence
 
 GONE = '"""Gone."""\n\nfrom sabench.reproject import sweep\n'
-
-
 registered = command_line.app.registered_commands.copy
 
 

@@ -63,10 +63,8 @@ def found(
     [
         ("reconstruction", "q", 0.8, 0.7, 0.1),
         ("reconstruction", "peak_recall", 0.5, 0.75, -0.25),
-        ("reconstruction", "rms_px", 0.2, 0.25, 0.05),
         ("velocimetry", "bias_voxel", 0.1, 0.05, -0.05),
         ("calibration", "z_mean_mm", -0.3, 0.2, -0.1),
-        ("velocimetry", "u_bias_voxel", 0.1, -0.4, 0.3),
         ("velocimetry", "response", 0.9, 1.2, 0.1),
         ("velocimetry", "response", 1.3, 0.9, -0.2),
         ("calibration", "bound_px", 0.3, 0.2, 0.1),
@@ -99,9 +97,8 @@ def test_only_what_is_beyond_its_tolerance_is_told() -> None:
 
 def test_an_absolute_tolerance_holds_where_the_relative_one_is_smaller() -> None:
     both = {"reconstruction": {"q": Tolerance(relative=0.01, absolute=0.05)}}
-    assert found(case(msa=entry(q=0.8)), case(msa=entry(q=0.76)), both) == []
-    assert found(case(msa=entry(q=0.8)), case(msa=entry(q=0.74)), both) == [("q", True)]
-    assert found(case(msa=entry(q=8.0)), case(msa=entry(q=7.93)), both) == []
+    for before, now, worse in ((0.8, 0.76, []), (0.8, 0.74, [("q", True)]), (8.0, 7.93, [])):
+        assert found(case(msa=entry(q=before)), case(msa=entry(q=now)), both) == worse
 
 
 def test_a_lost_figure_is_worse_and_a_new_one_is_news() -> None:
@@ -122,8 +119,7 @@ def test_missing_and_failed_solvers_are_worse_and_new_ones_news() -> None:
 
 
 def test_times_are_over_the_reference_kernels() -> None:
-    """Ten times slower on a machine that is ten times slower is no change. On the same machine it
-    is one."""
+    """Ten times slower is no change on a machine that is ten times slower."""
     before = case(msa=entry(0.01, seconds=2.0))
     assert found(before, case(msa=entry(0.1, seconds=20.0))) == []
     assert found(before, case(msa=entry(0.01, seconds=20.0))) == [("seconds", True)]
@@ -153,16 +149,10 @@ def test_rounding_is_allowed_and_lost_pixels_are_not() -> None:
     assert default_tolerance(DATA, "retraced_px").allowed(0.0) < 1e-5
 
 
-def baseline(**changes: Any) -> Baseline:
-    values = {
-        "suite": "tiny",
-        "sabench": "0",
-        "machine": {"cores": 2},
-        "versions": {},
-        "tolerances": TOLERANCES,
-        "cases": (case({"camera_00.column_mean": 1.5}, msa=entry(q=0.8, rms_px=None)),),
-    }
-    return Baseline(**{**values, **changes})
+def baseline() -> Baseline:
+    cases = (case({"camera_00.column_mean": 1.5}, msa=entry(q=0.8, rms_px=None)),)
+    about = {"suite": "tiny", "sabench": "0", "machine": {"cores": 2}, "versions": {}}
+    return Baseline.model_validate(about | {"tolerances": TOLERANCES, "cases": cases})
 
 
 def test_a_baseline_comes_back_from_its_file_and_equal_ones_are_equal_bytes(tmp_path: Path) -> None:
@@ -230,8 +220,7 @@ def test_the_bundled_suite_has_every_track_and_both_renderers() -> None:
 def test_seconds_of_a_gate_are_cpu_seconds_without_compilation(
     share: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first run after an installation compiles kernels, and the second does not. A solver that
-    had a quarter of a core took a quarter of its time."""
+    """A solver that had a quarter of a core took a quarter of its time."""
     monkeypatch.setattr(comparison, "solve_timed", lambda *_, **__: 0.01)
     scores = {"q": 0.5, "seconds": 2.0, "reconstruction_s": 1.0, "compile_s": 20.0}
     monkeypatch.setattr(comparison, "score", lambda *_: scores)

@@ -60,13 +60,10 @@ def places(records: list[Record]) -> dict[str, int | None]:
 
 
 def test_entries_that_seeds_cannot_tell_apart_share_a_rank() -> None:
+    """Pairs tell more apart than intervals do: seeds are more or less difficult for everybody."""
     close = np.array([around(0.80, 0.05), around(0.79, 0.05)[::-1], around(0.5, 0.05)])
     assert ranks(close, larger=True) == [1, 1, 3]
     assert ranks(-close, larger=False) == [1, 1, 3]
-
-
-def test_pairs_tell_apart_what_intervals_do_not() -> None:
-    """Seeds are more or less difficult for everybody."""
     hard = np.array(around(0.0, 0.2))
     assert ranks(np.array([0.80 + hard, 0.79 + hard]), larger=True) == [1, 2]
 
@@ -318,8 +315,7 @@ def no_zip(path: Path) -> Path:
 
 
 def long_name(path: Path) -> Path:
-    """An archive with a member's name of 100 MB. A reader of names would hold all of it in
-    memory."""
+    """An archive with a member's name of 100 MB, which a reader would hold in memory."""
     info = tarfile.TarInfo("././@LongLink")
     info.type, info.size = tarfile.GNUTYPE_LONGNAME, 100_000_000
     path.write_bytes(gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(100_000_000), 1))

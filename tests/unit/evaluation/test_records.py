@@ -139,9 +139,7 @@ def test_a_broken_line_is_named_and_left_out(
     assert "a.jsonl: line 2" in warning
 
 
-def test_a_line_of_any_length_is_left_out_in_little_memory(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_long_lines_take_little_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with (tmp_path / "a.jsonl").open("wb") as file:
         file.write(json.dumps(record("whole")).encode() + b"\n")
         for _ in range(100):
@@ -156,9 +154,7 @@ def test_a_line_of_any_length_is_left_out_in_little_memory(
     assert f"more than {LONGEST_LINE} bytes" in capsys.readouterr().err
 
 
-def test_warnings_are_short_and_not_more_than_a_hundred_a_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_warnings_are_short_and_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = json.dumps(record("x" * 5000, 5.0, seed=-1, case="\x1b" * 90)) + "\n"
     (tmp_path / "a.jsonl").write_text(line * 150)
     assert read_records(tmp_path) == []

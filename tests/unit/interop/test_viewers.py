@@ -154,21 +154,14 @@ def _value(tree: ast.Module, name: str) -> ast.expr:
     return found
 
 
-def test_a_state_is_python_and_knows_where_its_files_are(tmp_path: Path) -> None:
-    """Quotes in the folder's name do no harm."""
+def test_a_state_is_python_that_finds_its_files_and_draws_every_kind(tmp_path: Path) -> None:
+    """Quotes in the folder's name do no harm. A kind without a drawing would stop the state."""
     home = Path('/some where\'s "data"')
     write_state(tmp_path, home)
     tree = ast.parse((tmp_path / NAME).read_text(encoding="utf-8"))
-    folder = _value(tree, "FOLDER")
+    folder, drawn = _value(tree, "FOLDER"), _value(tree, "DRAW")
     assert isinstance(folder, ast.Call)
     assert ast.literal_eval(folder.args[0]) == str(home)
-
-
-def test_a_state_draws_every_kind_that_is_written(tmp_path: Path) -> None:
-    """A kind without a drawing would stop the state."""
-    write_state(tmp_path, tmp_path)
-    tree = ast.parse((tmp_path / NAME).read_text(encoding="utf-8"))
-    drawn = _value(tree, "DRAW")
     assert isinstance(drawn, ast.Dict)
     written = set(re.findall(r'"(\w+)_\{frame:04d\}\.vtkhdf"', inspect.getsource(vtkhdf)))
     assert len(written) >= 7

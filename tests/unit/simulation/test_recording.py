@@ -134,8 +134,7 @@ def test_nothing_is_written_where_the_data_set_is_complete(tmp_path: Path) -> No
 
 
 def check_allowed(task: Task, finished: set[Task], *, chained: bool) -> None:
-    """Check that a task's predecessors are finished. A camera comes after its frame's truth. In a
-    chain, a frame's truth comes after that of the frame before."""
+    """A camera comes after its frame's truth, which in a chain comes after that before."""
     if task.camera is not None:
         assert Task(task.frame) in finished
     elif chained and task.frame:
@@ -177,7 +176,7 @@ def work(
 @pytest.mark.parametrize(
     ("frames", "cameras", "workers"), [(1, 1, 1), (7, 3, 1), (40, 4, 5), (5, 9, 30), (9, 0, 3)]
 )
-def test_everything_is_done_once_in_an_order_that_it_allows(
+def test_everything_is_done_once_in_order(
     frames: int, cameras: int, workers: int, chained: bool
 ) -> None:
     for seed in range(5):
@@ -205,14 +204,14 @@ def test_two_workers_take_a_frame_each_and_share_the_last() -> None:
     assert [schedule.take(None), schedule.take(None)] == [Task(0), Task(1)]
     schedule.complete(Task(0))
     schedule.complete(Task(1))
-    assert [schedule.take(1), schedule.take(0)] == [Task(1, 0), Task(0, 0)]
+    first = Task(0, 0)
+    assert [schedule.take(1), schedule.take(0)] == [Task(1, 0), first]
     schedule.complete(Task(1, 0))
-    assert schedule.take(1) == Task(1, 1)
-    schedule.complete(Task(1, 1))
-    assert schedule.take(1) == Task(2)
-    schedule.complete(Task(2))
+    for task in (Task(1, 1), Task(2)):
+        assert schedule.take(1) == task
+        schedule.complete(task)
     assert schedule.take(1) == Task(2, 0)
-    schedule.complete(Task(0, 0))
+    schedule.complete(first)
     assert schedule.take(0) == Task(0, 1)
     schedule.complete(Task(0, 1))
     assert schedule.take(0) == Task(2, 1)

@@ -1,5 +1,4 @@
-"""Scores of one frame in memory. Best and worst possible scores, both rules of detection, and the
-weights of particles that cameras miss."""
+"""Scores of one frame: best and worst, both rules, and weights of particles that cameras miss."""
 
 import numpy as np
 import pytest
@@ -8,7 +7,6 @@ from sabench.api import Reconstruction
 from sabench.api.truth import View
 from sabench.metrics.reconstruction_error import SCORES, brightness, score_frame, true_field
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.utils.arrays import F64
 from tests.helpers.particle_scenes import cloud, make_scene
 
 
@@ -47,26 +45,20 @@ def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
     assert found["peak_recall"] == found["peak_precision"] == pytest.approx(1.0)
 
 
-def weights(*photons: list[float]) -> F64:
-    views = []
-    for row in photons:
-        one, seen = np.ones(len(row)), np.ones(len(row), dtype=np.bool_)
-        views.append(View(np.zeros((len(row), 2)), np.array(row), one, seen))
-    return brightness(views)
+BRIGHTNESS = [
+    ([[1.0, 2.0, 3.0], [30.0, 20.0, 10.0]], [1.0, 1.0, 1.0]),
+    ([[1.0, 3.0], [1.0, 3.0]], [0.5, 1.5]),
+    ([[1.0, 0.0, 3.0], [2.0, 0.0, 6.0]], [0.5, 0.0, 1.5]),  # one outside the light
+    ([[1.0, 3.0, 2.0], [0.0, 0.0, 0.0]], [0.5, 1.5, 1.0]),  # a covered camera
+    ([[2.0, 2.0, 2.0], [0.0, 2.0, 2.0]], [1.0, 1.0, 1.0]),  # one hidden from a camera
+    ([[0.0, 0.0], [0.0, 0.0]], [0.0, 0.0]),
+]
 
 
-@pytest.mark.parametrize(
-    ("photons", "expected"),
-    [
-        ([[1.0, 2.0, 3.0], [30.0, 20.0, 10.0]], [1.0, 1.0, 1.0]),
-        ([[1.0, 3.0], [1.0, 3.0]], [0.5, 1.5]),
-        ([[1.0, 0.0, 3.0], [2.0, 0.0, 6.0]], [0.5, 0.0, 1.5]),  # one outside the light
-        ([[1.0, 3.0, 2.0], [0.0, 0.0, 0.0]], [0.5, 1.5, 1.0]),  # a covered camera
-        ([[2.0, 2.0, 2.0], [0.0, 2.0, 2.0]], [1.0, 1.0, 1.0]),  # one hidden from a camera
-        ([[0.0, 0.0], [0.0, 0.0]], [0.0, 0.0]),
-    ],
-)
-def test_brightness_is_the_mean_over_the_cameras_that_see_relative_to_each(
-    photons: list[list[float]], expected: list[float]
-) -> None:
-    np.testing.assert_allclose(weights(*photons), expected)
+def test_brightness_is_relative_to_each_camera_and_the_mean_of_those_that_see() -> None:
+    for photons, expected in BRIGHTNESS:
+        views = []
+        for row in photons:
+            one, seen = np.ones(len(row)), np.ones(len(row), dtype=np.bool_)
+            views.append(View(np.zeros((len(row), 2)), np.array(row), one, seen))
+        np.testing.assert_allclose(brightness(views), expected)

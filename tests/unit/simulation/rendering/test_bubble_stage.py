@@ -148,9 +148,6 @@ def test_errors_are_those_of_the_means_of_streams() -> None:
     assert tally.errors(0.0)[0] == pytest.approx(expected)
 
 
-CASES = ("standard-particles", "realistic-particles")
-
-
 def compare(name: str, samples: int) -> Comparison:
     """Compare the renderers in one camera of 100 x 130 pixels, at an edge of the array."""
     values = tomllib.loads(find(name, "scenes").read_text(encoding="utf-8"))
@@ -163,7 +160,7 @@ def compare(name: str, samples: int) -> Comparison:
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ["standard-particles", "realistic-particles"])
 def test_rays_and_formulas_agree(name: str) -> None:
     """Rays through the middles of n x n parts make a pixel narrower by 1 / 12 n2 px2."""
     found = compare(name, 9)

@@ -1,5 +1,4 @@
-"""Bubbles, drops and bodies before a diffuser. Against ray optics by hand, against Mitsuba's own
-path tracer, and the documented errors."""
+"""Bubbles, drops and bodies before a diffuser, against ray optics and Mitsuba's path tracer."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -90,10 +89,7 @@ def test_nothing_in_the_way_is_the_exposure_that_was_asked_for() -> None:
 
 
 def profile_by_hand(b: F64, half_angle: float) -> F64:
-    """Return the brightness of a ball of air in water before a round diffuser. At parts b of its
-    radius, ray by ray with vectors: an independent derivation. A ray comes along +Z and meets the
-    ball at (b, 0); its directions are followed by Snell's law in vector form, all orders up to
-    ten."""
+    """Trace a ball of air before a round diffuser by Snell's law at parts b of its radius."""
 
     def turned(way: F64, normal: F64, ratio: float) -> F64 | None:
         cosine = -float(way @ normal)
@@ -141,10 +137,7 @@ def crossings(values: F64, places: F64, level: float) -> F64:
 
 @pytest.mark.slow
 def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None:
-    """The dark ring has the edges and brightnesses of ray optics. Its outer and inner edge, and the
-    brightness on either side of them, in the rows and columns through the centre. The diffuser is
-    far behind, so that its half angle is the same for all of the bubble. Nearly all of the way to
-    it is water."""
+    """The diffuser is far behind, so that its half angle is the same for all of the bubble."""
     deep, radius, half, z = replace(WALL, depth_mm=3000.0), 8.0, 1000.0, 3030.0
     lens, ball = camera(120, 120, wall=deep), bubbles([[0.0, 0.0, 50.0]], [[radius] * 3])
     seen = shot(lens, ball, diffuser(half, z), tank=Tank(deep, (GLASS,)), error=0.005)
@@ -176,8 +169,7 @@ def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None
 
 
 def by_path_tracer(lens: Camera, what: Bubbles, light: Backlight, samples: int) -> tuple[F64, F64]:
-    """Return the same picture and its standard error by Mitsuba's `path` integrator. Walls are
-    dielectric planes, bubbles spheres or meshes."""
+    """Return the same picture and its standard error by Mitsuba's `path` integrator."""
     import trimesh
 
     mi = backend.mitsuba()
@@ -268,8 +260,7 @@ def test_another_integrator_makes_the_same_picture(name: str) -> None:
 
 @pytest.mark.slow
 def test_errors_are_as_large_as_they_are_said_to_be() -> None:
-    """Two renders of different seeds differ by their errors. Neither error exceeds the limit that
-    was set."""
+    """Two renders of different seeds differ by their errors, which keep the limit."""
     what = CASES["bubbles"]
     one, other = (shot(camera(), what, error=0.01, seed=seed) for seed in (1, 5000))
     again = shot(camera(), what, error=0.01, seed=1)
@@ -403,8 +394,7 @@ def test_surfaces_are_met_to_single_precision_from_far_away() -> None:
 def test_rays_given_up_between_walls_find_nothing(
     tank: Tank, half: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Total reflection from wall to wall ends in darkness: the same image with these rays. Without
-    a wall behind, what the front wall reflects totally may still come from the diffuser."""
+    """Without a wall behind, light that is reflected totally may come from the diffuser."""
     from sabench.simulation.rendering import bubble_integrator
 
     grid = [[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)]

@@ -184,8 +184,7 @@ def camera_of(name: str) -> tuple[Camera, Box]:
 
 
 def test_a_thin_volume_needs_fewer_terms_and_a_tiny_one_one() -> None:
-    """Terms of high powers of its depth are left out. All that is left at last is the value in its
-    middle, and points get it."""
+    """Terms of high powers of its depth go; the value in the middle is left."""
     camera, (low, high) = camera_of("quick")
     middle = (np.asarray(low) + np.asarray(high)) / 2.0
     thin = (*low[:2], middle[2] - 0.1), (*high[:2], middle[2] + 0.1)
@@ -216,8 +215,7 @@ def test_points_outside_the_box_have_exact_paths() -> None:
 
 @pytest.mark.parametrize("crossed", [True, False])
 def test_some_boxes_have_no_polynomials_but_exact_paths(crossed: bool) -> None:
-    """A box that reaches through the wall: no path leads to half of its points. And one of 100 mm,
-    30 mm behind a camera: what it gathers changes tenfold."""
+    """One that reaches through the wall, and one of 100 mm that begins 30 mm from a camera."""
     camera, (low, high) = camera_of("quick")
     box = (low[0], low[1], low[2] - 1000.0), high
     if not crossed:

@@ -43,8 +43,7 @@ def solid_angle_of(a: F64, b: F64, c: F64) -> F64:
 
 
 def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24) -> F64:
-    """Return the solid angle of the pupil at each point. It is weighted with the wall's
-    transmission. The pupil is cut into small cells, and each is traced by itself."""
+    """Return the pupil's solid angle by cells, weighted with the wall's transmission."""
 
     def paths(radius: float, turn: float) -> tuple[F64, F64]:
         moved = camera.shifted(radius * math.cos(turn), radius * math.sin(turn))
@@ -88,8 +87,7 @@ def test_isotropic_particles_scatter_what_falls_on_them() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("f_number", [4.0, 16.0])
 def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
-    """The table's value at the lens's centre is the mean over the lens. Every point of the lens
-    asks Mie's theory at its own angle."""
+    """The table's value, next to Mie's theory at the angle of every point of the lens."""
     scene = make_scene(illumination={"scattering": "mie"}, cameras={"f_number": f_number})
     diameter = float(lattice_diameters_mm(size_numbers(np.array([0.02])))[0])
     rig, particles = build_rig(scene), cloud(np.array([[0.5, -0.4, 30.5]]), diameter)
@@ -113,7 +111,7 @@ def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
         assert found == pytest.approx(raw.mean() * light, rel=0.02)
 
 
-def test_the_table_holds_the_angles_of_all_light_that_is_caught_and_few_others() -> None:
+def test_the_table_holds_the_angles_of_the_light_that_is_caught() -> None:
     scene = make_scene(illumination={"scattering": "mie"}, cameras={"f_number": 2.0})
     cameras, rng = build_rig(scene).cameras, np.random.default_rng(3)
     corners = np.array(list(itertools.product((-0.5, 0.0, 0.5), repeat=3)))

@@ -15,8 +15,7 @@ from tests.helpers.particle_scenes import SMALL, spots
 
 
 def centre_of_rounded(place: F64, sigma: float) -> F64:
-    """Return the mean of a normal variable rounded to whole numbers. By the Fourier series of the
-    saw tooth: narrow images are drawn to their pixel's centre."""
+    """Return the mean of a normal variable rounded to whole numbers, by a Fourier series."""
     k = np.arange(1, 30)[:, None]
     waves = (-1.0) ** (k + 1) * np.sin(2 * np.pi * k * place) / (np.pi * k)
     return np.asarray(place - np.sum(waves * np.exp(-2 * (np.pi * k * sigma) ** 2), axis=0))

@@ -78,8 +78,7 @@ def both_moments(
 
 
 def test_rays_carry_the_light_of_near_and_large_particles() -> None:
-    """The entry point into a ball of glow does not count as its distance. The ball reaches far in
-    front of its centre here (0.7 of 40 mm)."""
+    """A ball of glow begins far in front of its centre here (0.7 of 40 mm)."""
     camera = replace(WIDE, rows=70, columns=110, principal_point_px=(54.5, 34.5))
     traced, formula = both_moments(camera, *isolated(camera, (39.0, 41.0), 16, 4), 6)
     assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=2e-3)

@@ -51,8 +51,7 @@ def test_pixels_see_the_first_bubble_at_its_depth() -> None:
 
 
 def test_shares_are_those_of_discs() -> None:
-    """Three bubbles that are partly or wholly hidden. One half behind a larger one, one wholly
-    behind it, one half outside the image."""
+    """One hidden wholly by a larger one, one half outside the image."""
     lens = camera(80, 100)
     (a, b), _ = lens.project(np.array([[0.0, 0.0, 40.0], [1.0, 0.0, 40.0]]))
     edge = (99.5 - a[0]) / (b[0] - a[0])

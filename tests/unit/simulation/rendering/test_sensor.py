@@ -49,8 +49,7 @@ def chi_square(observed: F64, expected: F64) -> float:
     "mean", [1e-3, 0.1249, 0.125, 0.7, 3.3, 9.999, 10.0, 15.9, 300.0, 1e4, 1e6]
 )
 def test_electrons_have_poissons_distribution(mean: float) -> None:
-    """Below 0.125, from there to 10 and above, other algorithms draw; all are compared as one. Bins
-    are as wide as a thirtieth of the standard deviation, single numbers where they can be."""
+    """Three algorithms draw, with limits at 0.125 and 10; bins are 1/30 of a deviation wide."""
     drawn = electrons(mean, seed=1)
     law = stats.poisson(mean)
     reach, step = 6 * mean**0.5, max(1.0, mean**0.5 / 30.0)
@@ -167,8 +166,7 @@ def test_light_that_is_no_number_of_photons_is_refused(wrong: float) -> None:
 
 
 def test_photon_transfer() -> None:
-    """EMVA 1288: mean and variance of the sensor. mean = black + K mu_e and variance = K^2 (mu_e +
-    read^2) + 1/12 of the rounding."""
+    """EMVA 1288: mean = black + K mu_e, variance = K^2 (mu_e + read^2) + 1/12 of the rounding."""
     levels = {"full_well_e": 5e4, "gain_dn_e": 0.8, "black_level_dn": 100.0, "bit_depth": 16}
     noise = {"dark_current_e_s": 2000.0, "exposure_s": 5e-3, "read_noise_e": 4.0}
     sensor = Sensor.model_validate(levels | noise | {"quantum_efficiency": 0.5})
