@@ -252,11 +252,9 @@ def test_junit_has_a_case_for_the_data_and_each_solver(tmp_path: Path) -> None:
     (suite,) = root
     assert (root.tag, suite.tag) == ("testsuites", "testsuite")
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "2", "0")
-    assert [(one.get("classname"), one.get("name")) for one in suite] == [
-        ("tiny.a.seed1", DATA),
-        ("tiny.a.seed1", "msa"),
-        ("tiny.b.seed1", "asa"),
-    ]
+    names = [(one.get("classname"), one.get("name")) for one in suite]
+    assert names[:2] == [("tiny.a.seed1", DATA), ("tiny.a.seed1", "msa")]
+    assert names[2:] == [("tiny.b.seed1", "asa")]
     assert suite[1].findtext("failure") == bad.sentence
     assert "0.8 before, 0.6 now, -0.2 where 0.008 is allowed" in bad.sentence
     assert "case <gone> & more" in (suite[2].findtext("failure") or "")

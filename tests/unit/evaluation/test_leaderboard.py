@@ -41,6 +41,10 @@ def around(value: float, scatter: float = 0.01) -> tuple[float, ...]:
     return tuple(value + scatter * one for one in (0.0, 1.0, -1.0, 0.5, -0.5))
 
 
+def easy(solver: str, q: float, **changes: Any) -> list[Record]:
+    return results(solver, {"easy": around(q)}, **changes)
+
+
 def board(records: list[Record]) -> Board:
     (only,) = boards_of(cases_of(over_seeds(records)))
     return only
@@ -104,35 +108,32 @@ def test_solvers_are_placed_by_their_mean_rank() -> None:
 
 
 def test_one_lucky_seed_ranks_before_nobody() -> None:
-    five = [results(name, {"easy": around(q)}) for name, q in (("a", 0.7), ("b", 0.6))]
-    lucky = results("lucky", {"easy": (0.99,)})
-    found = standing([*five[0], *five[1], *lucky])
+    five = [*easy("a", 0.7), *easy("b", 0.6)]
+    found = standing([*five, *results("lucky", {"easy": (0.99,)})])
     assert list(found) == ["a", "b", "lucky"]
     assert found["lucky"] == (None, [None], ["1 of 5 seeds"])
-    crowd = [results(f"lucky {n}", {"easy": (0.99,)}) for n in range(9)]
-    assert standing([*five[0], *(one for own in crowd for one in own)])["a"][0] == 1
+    crowd = [one for n in range(9) for one in results(f"lucky {n}", {"easy": (0.99,)})]
+    assert standing([*five, *crowd])["a"][0] == 1
 
 
 def test_a_submission_with_further_seeds_makes_nobody_incomplete() -> None:
     sent = {"submission": {"name": "Ann", "date": "2026-01-02"}}
     more = [
         {**one, "seed": seed, "dataset": f"easy-{seed}"}
-        for seed, one in enumerate(results("much", {"easy": around(0.1)}, **sent) * 2, 1)
+        for seed, one in enumerate(easy("much", 0.1, **sent) * 2, 1)
     ]
-    found = standing([*results("a", {"easy": around(0.7)}), *more])
+    found = standing([*easy("a", 0.7), *more])
     assert found["a"] == (1, [1], [""])
     assert found["much"] == (2, [2], [""])
 
 
 def test_a_solver_that_misses_a_case_comes_after_the_others() -> None:
-    whole = {"easy": around(0.5), "hard": around(0.4)}
+    whole, hard = {"easy": around(0.5), "hard": around(0.4)}, {"hard": around(0.0)}
     records = [
         *results("whole", whole),
-        *results("easy only", {"easy": around(0.9)}),
-        *results("declines", {"easy": around(0.8)}),
-        *results("declines", {"hard": around(0.0)}, error="it needs more", declined=True),
-        *results("fails", {"easy": around(0.8)}),
-        *results("fails", {"hard": around(0.0)}, error="it broke"),
+        *easy("easy only", 0.9),
+        *[*easy("declines", 0.8), *results("declines", hard, error="no", declined=True)],
+        *[*easy("fails", 0.8), *results("fails", hard, error="it broke")],
     ]
     found = standing(records)
     assert next(iter(found)) == "whole"
@@ -144,9 +145,9 @@ def test_a_solver_that_misses_a_case_comes_after_the_others() -> None:
 
 
 def test_a_seed_that_failed_makes_a_result_incomplete() -> None:
-    one = results("one", {"easy": around(0.9)})
+    one = easy("one", 0.9)
     one[3] |= {"error": "it broke", "q": None}
-    assert standing([*one, *results("other", {"easy": around(0.1)})])["one"][0] is None
+    assert standing([*one, *easy("other", 0.1)])["one"][0] is None
 
 
 def test_the_gate_of_the_task_holds() -> None:
@@ -158,13 +159,8 @@ def test_the_gate_of_the_task_holds() -> None:
 
 
 def test_a_result_sent_under_another_name_shares_the_line_of_the_first() -> None:
-    scores = {"easy": around(0.8)}
     sent = {"submission": {"name": "Eve", "date": "2026-01-02"}}
-    records = [
-        *results("copy", scores, **sent),
-        *results("original", scores),
-        *results("third", {"easy": around(0.7)}),
-    ]
+    records = [*easy("copy", 0.8, **sent), *easy("original", 0.8), *easy("third", 0.7)]
     lines = board(records).lines
     assert [line.result.row["solver"] for line in lines] == ["original", "third"]
     assert [line.place for line in lines] == [1, 2]
@@ -183,18 +179,17 @@ def test_equal_counts_alone_are_not_one_result() -> None:
 
 
 def test_one_solver_on_two_machines_is_one_entry() -> None:
-    scores = {"easy": around(0.8)}
     records = [
-        *results("a", scores),
+        *easy("a", 0.8),
         *results("a", {"easy": (0.99,)}, machine={"cpu": "another"}),
-        *results("b", {"easy": around(0.7)}),
+        *easy("b", 0.7),
     ]
     assert places(records) == {"a": 1, "b": 2}
 
 
 def test_another_version_of_a_case_or_of_its_data_is_not_compared() -> None:
-    old = results("old", {"easy": around(0.9)}, scene_hash="older", date="2026-01-01T00:00:00Z")
-    new = results("new", {"easy": around(0.1)}, date="2026-02-01T00:00:00Z")
+    old = easy("old", 0.9, scene_hash="older", date="2026-01-01T00:00:00Z")
+    new = easy("new", 0.1, date="2026-02-01T00:00:00Z")
     assert list(standing([*old, *new])) == ["new"]
     other = [one | {"identity": "of an older simulation", "scene_hash": "easy"} for one in old]
     found = standing([*other, *new])
@@ -203,12 +198,11 @@ def test_another_version_of_a_case_or_of_its_data_is_not_compared() -> None:
 
 
 def test_suites_renderers_and_splits_have_standings_of_their_own() -> None:
-    scores = {"easy": around(0.8)}
     records = [
-        *results("a", scores),
-        *results("a", scores, suite="other", scene_hash="another"),
-        *results("a", scores, renderer="mitsuba"),
-        *results("a", scores, split="hidden"),
+        *easy("a", 0.8),
+        *easy("a", 0.8, suite="other", scene_hash="another"),
+        *easy("a", 0.8, renderer="mitsuba"),
+        *easy("a", 0.8, split="hidden"),
     ]
     found = boards_of(cases_of(over_seeds(records)))
     assert len({(one.suite, one.renderer, one.split) for one in found}) == len(found) == 4
@@ -216,8 +210,8 @@ def test_suites_renderers_and_splits_have_standings_of_their_own() -> None:
 
 def test_a_record_that_says_less_of_its_case_is_compared_with_the_others() -> None:
     """As older records do, and submissions of data sets that nobody has run."""
-    old = results("old", {"easy": around(0.7)}, suite=None, difficulty=None)
-    found = board([*old, *results("new", {"easy": around(0.8)})])
+    old = easy("old", 0.7, suite=None, difficulty=None)
+    found = board([*old, *easy("new", 0.8)])
     assert [line.place for line in found.lines] == [1, 2]
     assert found.columns[0].name == "easy"
 
@@ -226,7 +220,7 @@ def test_a_column_of_several_cases_is_their_mean() -> None:
     records = [
         one | {"case": f"{one['case']}-{number}", "scene_hash": f"{number}"}
         for number in (1, 2)
-        for one in results("a", {"easy": around(0.2 * number)})
+        for one in easy("a", 0.2 * number)
     ]
     only = board(records)
     (cell,) = only.lines[0].cells
@@ -237,12 +231,9 @@ def test_a_column_of_several_cases_is_their_mean() -> None:
 
 
 def test_speed_counts_above_the_stated_score_only() -> None:
-    entries = ("slow", 0.9, 9.0), ("quick", 0.8, 2.0), ("wrong", 0.1, 0.1), ("unknown", 0.85, None)
-    records = [
-        one
-        for name, q, seconds in entries
-        for one in results(name, {"easy": around(q)}, seconds=seconds, reference_s=0.5)
-    ]
+    runs = ("slow", 0.9, 9.0), ("quick", 0.8, 2.0), ("wrong", 0.1, 0.1), ("unknown", 0.85, None)
+    made = (easy(name, q, seconds=seconds, reference_s=0.5) for name, q, seconds in runs)
+    records = [one for own in made for one in own]
     cells = {line.result.row["solver"]: line.cells[0] for line in board(records).lines}
     assert [name for name, cell in cells.items() if cell.fastest] == ["quick"]
     assert len(cells) == 4

@@ -248,9 +248,8 @@ def test_a_broken_project(name: str, text: str | None, key: str, tmp_path: Path)
 
 def test_metres_are_recognised(tmp_path: Path) -> None:
     far = changed(wall=None)
-    small = [
-        dataclasses.replace(one, center_mm=tuple(np.asarray(one.center_mm) / 1e3)) for one in far
-    ]
+    near = {one.name: triple(np.asarray(one.center_mm) / 1e3) for one in far}
+    small = [dataclasses.replace(one, center_mm=near[one.name]) for one in far]
     write_cameras(tmp_path / "out", small, "opencv")
     with refused():
         read_cameras(tmp_path / "out", "opencv")

@@ -147,9 +147,8 @@ def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None
     part = np.linspace(0.0, 0.999999, 4000)
     sharp = profile_by_hand(part, float(np.arctan(half / (z - 50.0))))
     x, y = np.meshgrid((fine - truth.pixel[0, 0]) / edge, (fine - truth.pixel[0, 1]) / edge)
-    by_hand = (
-        np.interp(np.hypot(x, y), part, sharp, right=1.0).reshape(120, 8, 120, 8).mean(axis=(1, 3))
-    )
+    fine_image = np.interp(np.hypot(x, y), part, sharp, right=1.0)
+    by_hand = fine_image.reshape(120, 8, 120, 8).mean(axis=(1, 3))
     row, column = np.mgrid[0:120, 0:120]
     away = np.hypot(column - truth.pixel[0, 0], row - truth.pixel[0, 1])
     rendered = seen.photons / np.median(seen.photons[away > 1.3 * edge])

@@ -28,9 +28,8 @@ def electrons(mean: float, seed: int, shape: tuple[int, int] = _SHAPE) -> I64:
 
 def deviates(seed: int, shape: tuple[int, int] = _SHAPE) -> F64:
     """Draw read noise, in its standard deviations; it is rounded to 1/4000."""
-    sensor = _COUNTER.model_copy(
-        update={"shot_noise": False, "read_noise_e": 4000.0, "black_level_dn": 32000.0}
-    )
+    noise = {"shot_noise": False, "read_noise_e": 4000.0, "black_level_dn": 32000.0}
+    sensor = _COUNTER.model_copy(update=noise)
     grey = expose(sensor, np.zeros(shape), np.random.default_rng(seed))
     return np.asarray((grey - 32000.0) / 4000.0)
 
@@ -265,9 +264,7 @@ def test_a_sensor_without_flaws_has_no_spatial_variance() -> None:
 
 
 def test_linearity_error_follows_from_the_signal_at_the_full_well() -> None:
-    sensor = sensor_with(nonlinearity=0.1).model_copy(
-        update={"shot_noise": False, "read_noise_e": 0.0}
-    )
+    sensor = sensor_with(nonlinearity=0.1, shot_noise=False, read_noise_e=0.0)
     photons = np.linspace(0.0, 4e4, 9)  # the last fills the well
     grey = expose(sensor, photons[None], np.random.default_rng(0))[0].astype(float)
     signal = grey - 60.0
