@@ -277,15 +277,12 @@ def test_verdicts(measured: float, thesis: float | None, better: Any, expected: 
     assert verdict(measured, thesis, better) == expected
 
 
-def test_rows_hold_the_mean_over_seeds() -> None:
+def test_rows_hold_the_mean_over_seeds_a_bound_or_a_claim() -> None:
     row = make_row("x", 2.0, [1.0, 2.0, 3.0], "note")
     assert (row.measured, row.verdict, row.seeds, row.note) == (2.0, "reproduced", 3, "note")
     assert row.ci95 == pytest.approx(2.484, abs=1e-3)
     missing = make_row("x", 2.0, [])
     assert (missing.measured, missing.ci95, missing.verdict) == (None, None, "not reached")
-
-
-def test_bounds_and_claims() -> None:
     for measured, expected in (([0.8, 0.9], "reproduced"), ([0.74], "below"), ([], "below")):
         assert at_least("x", 0.75, measured).verdict == expected
     for holds, expected in ((True, "reproduced"), (False, "not reproduced")):
@@ -300,10 +297,7 @@ def test_the_crossing_is_found_from_either_side(start: float) -> None:
         return 0.75 - 0.05 * (per_mm3 - 3.0 - 0.1 * (seed - 1))
 
     assert crossings(quality, start, [1, 2]) == pytest.approx([3.0, 3.1])
-
-
-def test_no_crossing_is_no_density() -> None:
-    assert crossings(lambda per_mm3, seed: 0.9, 1.0, [1]) == []
+    assert crossings(lambda per_mm3, seed: 0.9, start, [1]) == []
 
 
 def test_the_first_fall_below_a_level() -> None:
@@ -422,19 +416,14 @@ def test_tables_are_rectangular_and_commands_exist(section: dict[str, Any]) -> N
     assert set(words[2:]) <= set(MEASUREMENTS)
 
 
-def test_every_figure_and_link_leads_to_a_file() -> None:
-    targets = re.findall(r"\]\(([^()\s]+)\)", render())
+def test_the_page_has_every_image_and_verdict_and_its_links_lead_to_files() -> None:
+    page = render()
+    targets = re.findall(r"\]\(([^()\s]+)\)", page)
     assert len(targets) > 40
     assert not [target for target in targets if not (FOLDER / target).is_file()]
-
-
-def test_every_image_of_the_folder_is_on_the_page() -> None:
-    shown = set(re.findall(r"reproduction/images/([\w-]+)\.png", render()))
+    shown = set(re.findall(r"reproduction/images/([\w-]+)\.png", page))
     assert shown == {file.stem for file in (ROOT / "reproduction" / "images").iterdir()}
-
-
-def test_all_entries_have_a_verdict() -> None:
-    lines = re.findall(r"^\| (?:table|fig)-\S+ \| .+ \| .+ \| .* \|$", render(), re.MULTILINE)
+    lines = re.findall(r"^\| (?:table|fig)-\S+ \| .+ \| .+ \| .* \|$", page, re.MULTILINE)
     assert len(lines) == 125
 
 

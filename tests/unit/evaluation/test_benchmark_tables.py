@@ -124,21 +124,13 @@ RECORDS: list[dict[str, Any]] = [
 
 
 def test_a_table_has_a_row_for_each_case_and_a_column_for_each_solver() -> None:
+    """Several seeds have a mean and an interval."""
     text = standard_tables.table(standard_tables.collect(RECORDS, "tracking-", "f1", 3))
     rows = ["| easy | 0.990 | - |", "| hard | 0.700 | - |"]
     assert text.splitlines() == ["| case | own | second |", "|---|---|---|", *rows]
-
-
-def test_several_seeds_have_a_mean_and_an_interval() -> None:
     records = [{**RECORDS[0], "f1": 0.9 + 0.1 * seed} for seed in (0, 1)]
     row = standard_tables.collect(records, "tracking-", "f1", 2)["easy"]
     assert row == {"own": "0.95 ± 0.64"}  # t = 12.7 times the standard error
-
-
-def test_the_bundled_records_are_of_the_present_version() -> None:
-    found = standard_tables.read_tables([ROOT / "leaderboard" / "records"])
-    assert all(found.values())
-    assert set(found["reconstruction"]) >= {"easy", "standard", "hard"}
 
 
 SCORES: realism.Scores = {
@@ -149,19 +141,20 @@ SCORES: realism.Scores = {
 
 
 def test_a_cost_is_the_mean_over_the_seeds_of_both_cases() -> None:
+    """The best solver in clean images comes first."""
     width = stats.t.interval(0.95, 1, scale=stats.sem([-0.2, -0.1]))[1]
     assert realism.cost(SCORES, "mie", "good") == f"-0.150 ± {width:.3f}"
     assert realism.cost(SCORES, "clean", "good").startswith(f"{np.mean([0.9, 0.8, 0.95]):.3f} ± ")
     assert realism.cost(SCORES, "mie", "bad") == "-"
-
-
-def test_the_best_solver_in_clean_images_comes_first() -> None:
     lines = realism.table(SCORES, ["clean", "mie"]).splitlines()
     assert lines[0] == "| effect | `good` | `bad` |"
     assert [line.split(" | ")[0] for line in lines[2:]] == ["| clean: the score", "| mie"]
 
 
-def test_the_record_has_every_sensor() -> None:
+def test_the_bundled_records_are_of_the_present_version_and_have_every_sensor() -> None:
+    found = standard_tables.read_tables([ROOT / "leaderboard" / "records"])
+    assert all(found.values())
+    assert set(found["reconstruction"]) >= {"easy", "standard", "hard"}
     record = json.loads(false_alarms.RECORD.read_text(encoding="utf-8"))
     assert set(record["sensors"]) == set(false_alarms.SENSORS)
     assert false_alarms.tables(record)

@@ -81,19 +81,13 @@ def test_ranks_follow_the_order_of_the_entries() -> None:
     assert ranks(3.0 * scores + 2.0, larger=True) == found
 
 
-def test_scatter_improves_no_rank() -> None:
+def test_neither_scatter_nor_a_result_sent_again_nor_a_missing_case_improves_a_rank() -> None:
     """Nobody beats the third beyond chance, but the second is better."""
     scores = np.array([[0.9] * 5, [0.8] * 5, [0.1, 0.99, 0.1, 0.99, 0.4]])
     assert ranks(scores, larger=True) == [1, 2, 2]
-
-
-def test_a_result_sent_again_takes_no_rank() -> None:
     scores = np.array([[0.9], [0.9], [0.9], [0.8]])
     assert ranks_of_distinct(scores, True, ["a", "a", "a", "b"]) == [1, 1, 1, 2]
     assert ranks_of_distinct(scores, True, ["a", "c", "d", "b"]) == [1, 1, 1, 4]
-
-
-def test_a_missing_case_counts_as_the_rank_after_the_last() -> None:
     assert mean_rank([1, None, 3], [4, 4, 4]) == 3.0
     assert mean_rank([1, 2], [2, 2]) == 1.5
 
@@ -385,14 +379,10 @@ def test_cases_of_other_suites_scenes_and_renderers_are_apart(key: str) -> None:
     assert found(records) == []
 
 
-@pytest.mark.parametrize("value", ["text", True, None, [1.0], {"kind": "grid"}])
-def test_what_is_no_number_makes_no_curve(value: Any) -> None:
-    assert found([varied("a", {"x": value}), varied("b", {"x": 2.0})]) == []
-
-
-def test_recorded_cases_and_cases_without_values_make_no_curve() -> None:
-    records = [varied("a", {}), varied("b", {})]
-    assert found(records) == []
+def test_recorded_cases_and_cases_without_numbers_make_no_curve() -> None:
+    assert found([varied("a", {}), varied("b", {})]) == []
+    for value in ("text", True, None, [1.0], {"kind": "grid"}):
+        assert found([varied("a", {"x": value}), varied("b", {"x": 2.0})]) == []
     head: dict[str, Any] = {"recorded": True, "task": "particles"}
     assert found([varied(name, {"x": n}, **head) for n, name in enumerate("ab")]) == []
 

@@ -29,7 +29,7 @@ def scene_cases(suite: str | Path) -> list[SceneCase]:
     return [case for case in load_suite(suite)[1] if isinstance(case, SceneCase)]
 
 
-def test_mean_and_interval_are_those_of_student() -> None:
+def test_mean_and_interval_are_those_of_student_and_one_value_has_none() -> None:
     values = [0.71, 0.74, 0.69, 0.75, 0.72]
     found, error = mean_of(values), stats.sem(values)
     assert found is not None
@@ -37,9 +37,6 @@ def test_mean_and_interval_are_those_of_student() -> None:
     assert found.half_width == pytest.approx(stats.t.ppf(0.975, 4) * error, rel=1e-12)
     assert found.count == 5
     assert found.text(3) == "0.722 ± 0.030"
-
-
-def test_one_value_has_no_interval_and_none_no_mean() -> None:
     lone = mean_of([0.5])
     assert lone is not None
     assert (lone.mean, lone.half_width, lone.text(2)) == (0.5, None, "0.50")
@@ -106,6 +103,7 @@ def test_realism_adds_up_to_the_realistic_scene() -> None:
     """All effects together are those of the scene; size, cameras and laser fit the smaller one."""
     real = load_scene("realistic-particles").to_dict()
     cases = scene_cases("realism")
+    assert len({case.scene.hash for case in cases}) == len({case.name for case in cases}) == 26
     for case in (case for case in cases if case.name.endswith("-everything")):
         own = case.scene.to_dict()
         for table in ("wall", "calibration", "background", "sensor", "tracer"):
@@ -116,11 +114,6 @@ def test_realism_adds_up_to_the_realistic_scene() -> None:
         ):
             assert own[table] | {key: real[table][key] for key in given} == real[table]
         assert own["particles"] | {"per_pixel": 0.05} == real["particles"]
-
-
-def test_each_case_of_realism_is_a_data_set_of_its_own() -> None:
-    cases = scene_cases("realism")
-    assert len({case.scene.hash for case in cases}) == len({case.name for case in cases}) == 26
 
 
 def test_a_value_replaces_the_whole_that_its_key_names() -> None:

@@ -107,6 +107,8 @@ def test_draws_follow_their_distributions() -> None:
     assert b.mean() == pytest.approx(1.0, abs=0.04)
     assert np.mean([one["c"] == "x" for one in draws]) == pytest.approx(0.5, abs=0.04)
     assert abs(np.corrcoef(a, b)[0, 1]) < 0.06
+    assert Draw(uniform=(1.0, 2.0)).value(0.0) == 1.0
+    assert Draw(choices=("a", "b")).value(np.nextafter(1.0, 0.0)) == "b"
 
 
 def test_displacements_are_those_of_the_flow() -> None:
@@ -137,9 +139,11 @@ def test_splits_are_disjoint_stable_and_as_large_as_asked() -> None:
 BEHIND: dict[str, Any] = {"choices": [[0.0, 0.0, -50.0]]}  # where the range would put the wall
 
 
-def test_impossible_samples_are_refused_before_anything_is_rendered() -> None:
+def test_impossible_samples_are_refused_and_so_is_a_range_without_any_scene() -> None:
     with refused("vary", "volume.center_mm"):
         stream(make_scene(vary=vary(volume__center_mm=BEHIND)))
+    with refused("sample 0"):
+        all_samples(make_scene(vary=vary("redraw", volume__center_mm=BEHIND)))
 
 
 def test_impossible_samples_are_drawn_again_and_counted() -> None:
@@ -148,11 +152,6 @@ def test_impossible_samples_are_drawn_again_and_counted() -> None:
     samples = all_samples(make_scene(vary=vary("redraw", volume__center_mm=choices)))
     assert all(list(one.scene.volume.center_mm) == center for one in samples)
     assert 3 <= sum(one.redrawn for one in samples) <= 40
-
-
-def test_a_range_without_any_scene_ends_in_a_sentence() -> None:
-    with refused("sample 0"):
-        all_samples(make_scene(vary=vary("redraw", volume__center_mm=BEHIND)))
 
 
 @pytest.mark.parametrize(
@@ -191,20 +190,12 @@ def test_wrong_options_are_refused(key: str, options: dict[str, Any]) -> None:
         stream(make_scene(), **options)
 
 
-def test_cameras_that_differ_in_number_are_refused_in_one_batch() -> None:
+def test_other_scenes_and_cameras_that_differ_in_number_are_refused() -> None:
+    with refused():
+        stream("standard-bubbles")
     scene = make_scene(vary=vary(cameras__layout__columns={"choices": [1, 2]}))
     with refused():
         next(stream(scene, batch=12))
-
-
-def test_other_scenes_are_refused() -> None:
-    with refused():
-        stream("standard-bubbles")
-
-
-def test_ranges_of_a_draw_keep_their_ends() -> None:
-    assert Draw(uniform=(1.0, 2.0)).value(0.0) == 1.0
-    assert Draw(choices=("a", "b")).value(np.nextafter(1.0, 0.0)) == "b"
 
 
 def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:

@@ -96,14 +96,10 @@ def test_light_s_way_in_glass_is_longer_than_it_is_wide() -> None:
     np.testing.assert_allclose(seen.path_mm.ravel(), air + glass + water, rtol=1e-5)
 
 
-def test_a_bubble_outside_the_image_is_not_seen() -> None:
-    lens = camera(40, 40)
-    seen = see(lens, bubbles([[80.0, 0.0, 50.0]], [[1.0] * 3]))
+def test_a_bubble_outside_the_image_is_not_seen_nor_one_that_is_not_there() -> None:
+    seen = see(camera(40, 40), bubbles([[80.0, 0.0, 50.0]], [[1.0] * 3]))
     assert seen.visible.tolist() == [0.0]
     assert (seen.number == NOTHING).all()
-
-
-def test_nothing_is_there() -> None:
     seen = see(camera(16, 16), bubbles([], []))
     assert seen.visible.shape == (0,)
     assert seen.contour.shape == (0, 48, 2)
