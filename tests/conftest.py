@@ -80,6 +80,11 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     return True
 
 
+def pytest_runtest_setup() -> None:
+    """Count the sentences of a test from its first one, in a second run, too."""
+    refusals.begin()
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
     """Measure the CPU time of a test and of the children that it waited for."""

@@ -118,8 +118,8 @@ def _show_calibration(report: Report, out: Path) -> None:
         )
     walls = []
     for unknown in report.wall:
-        figures = unknown.nominal, unknown.found, unknown.std
-        values = [tables.format_number(figure, 4) for figure in figures]
+        stated = unknown.nominal, unknown.found, unknown.std
+        values = [tables.format_number(figure, 4) for figure in stated]
         walls.append([unknown.name, unknown.unit or "-", *values, "yes" if unknown.shown else "no"])
     if walls:
         tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], walls)

@@ -320,8 +320,8 @@ class ShardMaker:
         nominal = nominal_cameras(one.scene, one.rig.cameras, one.seed)
         setups = list_setups(one.scene, one.rig, nominal)
         light = self._radiance(one) if "radiance" in self._job.kept.truth else None
-        arrays = one.images, one.particles, one.views, light
-        return SampleRecord(number, one.seed, one.drawn, one.redrawn, *setups, *arrays)
+        head = number, one.seed, one.drawn, one.redrawn
+        return SampleRecord(*head, *setups, one.images, one.particles, one.views, light)
 
     def _radiance(self, one: Sample) -> F32:
         """Render a sample once more, without noise."""

@@ -1,4 +1,4 @@
-"""Figures of a checkout: rooms, floors, arrows, circles and weight.
+"""Figures of a checkout: rooms, arrows, circles and weight.
 
 Run `python -m tests.architecture [CHECKOUT]`.
 """
@@ -6,7 +6,7 @@ Run `python -m tests.architecture [CHECKOUT]`.
 import sys
 from pathlib import Path
 
-from tests.architecture.plan import ROOT, arrows, circles, height, lines, rooms
+from tests.architecture.plan import ROOT, arrows, circles, lines, rooms
 from tests.architecture.weight import figures
 
 
@@ -16,7 +16,6 @@ def main() -> None:
     found = arrows(package)
     between = {(one, other) for one, other in found if one != other}
     print(f"rooms in sabench/ {len(rooms(package))}")
-    print(f"floors            {height(between)}")
     print(
         f"arrows            {len(between)} between rooms, {len(arrows(package, files=True))} "
         "between files"

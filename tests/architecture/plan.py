@@ -28,8 +28,7 @@ def rooms(package: Path) -> set[str]:
 
 
 def arrows(package: Path, *, files: bool = False) -> Arrows:
-    """Pairs (importer, imported) of rooms, or of files. Imports inside functions and imports for
-    type checkers count, too."""
+    """Pairs (importer, imported) of rooms, or of files, with imports inside functions."""
     known = {_dotted(file, package.parent) for file in package.rglob("*.py")}
     found = set()
     for file in sorted(package.rglob("*.py")):
@@ -43,40 +42,14 @@ def arrows(package: Path, *, files: bool = False) -> Arrows:
 
 
 def imports(file: Path, known: set[str]) -> set[str]:
-    package, found = file_package(known), set()
+    package, found = next(iter(known)).split(".")[0], set()
     for node in ast.walk(syntax(file)):
-        if (
-            isinstance(node, ast.ImportFrom)
-            and node.module
-            and node.module.split(".")[0] == package
-        ):
+        if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] == package:
             whole = [f"{node.module}.{alias.name}" for alias in node.names]
             found |= {name if name in known else str(node.module) for name in whole}
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names if alias.name in known}
     return found
-
-
-def file_package(known: set[str]) -> str:
-    return next(iter(known)).split(".")[0]
-
-
-def height(between: Arrows) -> int:
-    """Rooms on the longest way down; those of a circle stand on one floor."""
-    group = {room: frozenset({room}) for pair in between for room in pair}
-    group |= {room: circle for circle in circles(between) for room in circle}
-    down: dict[frozenset[str], set[frozenset[str]]] = {one: set() for one in group.values()}
-    for one, other in between:
-        if group[one] != group[other]:
-            down[group[one]].add(group[other])
-    heights: dict[frozenset[str], int] = {}
-
-    def of(one: frozenset[str]) -> int:
-        if one not in heights:
-            heights[one] = 1 + max((of(other) for other in down[one]), default=0)
-        return heights[one]
-
-    return max((of(one) for one in down), default=0)
 
 
 def circles(between: Arrows) -> set[frozenset[str]]:
@@ -96,7 +69,7 @@ def circles(between: Arrows) -> set[frozenset[str]]:
     reached = {room: reach(room) for room in below}
     inside = {room for room in reached if room in reached[room]}
     return {
-        frozenset({one, *(other for other in reached[one] & inside if one in reached[other])})
+        frozenset(other for other in reached[one] & inside if one in reached[other])
         for one in inside
     }
 

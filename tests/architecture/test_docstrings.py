@@ -50,17 +50,14 @@ def test_first_lines_are_short_and_have_a_head(folder: str) -> None:
         ("", "at the end"),
         ("Return the grid", "at the end"),
         ("What a solver sees.", "at the beginning"),
-        ("Whether it does.", "at the beginning"),
         (f"{'x' * 79}.", "got 80"),
+        ("Return the grid.", None),
+        ("Whereabouts of a body.", None),
+        (f"{'x' * 78}?", None),
     ],
 )
-def test_a_bad_first_line_is_found(first: str, fault: str) -> None:
-    assert [fault in one for one in faults(first)] == [True]
-
-
-def test_good_first_lines_pass() -> None:
-    for first in ("Return the grid.", "Whereabouts of a body.", "Why not?", f"{'x' * 78}."):
-        assert not faults(first)
+def test_a_bad_first_line_is_found(first: str, fault: str | None) -> None:
+    assert [str(fault) in one for one in faults(first)] == [True] * (fault is not None)
 
 
 def test_docstrings_of_modules_classes_and_functions_are_read() -> None:

@@ -10,14 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = tuple(
-    path.relative_to(ROOT).as_posix()
-    for path in (
-        ROOT / "README.md",
-        ROOT / "CONTRIBUTING.md",
-        *sorted((ROOT / "docs").rglob("*.md")),
-    )
-)
+_DOCS = (path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md")))
+PAGES = ("README.md", "CONTRIBUTING.md", *_DOCS)
 
 _FENCE = re.compile(r"( *)(`{3,})(\w*)\s*$")
 _LINK = re.compile(r"\[[^\]]*\]\(([^()\s]+)\)")
@@ -25,8 +19,7 @@ _MARKER = re.compile(r"<!-- (not run|file): (.+?) -->$")
 
 
 class Block(NamedTuple):
-    """A fenced code block. The marker before it, an HTML comment, may say why it is not run (`not
-    run: REASON`), or the name under which it is saved for later blocks (`file: NAME`)."""
+    """A fenced code block; a comment before it may say why it is not run, or name its file."""
 
     page: str
     line: int
@@ -113,12 +106,10 @@ def anchors(page: str) -> set[str]:
     found: Counter[str] = Counter()
     names = set()
     for _, line in _lines(page, built(page)):
-        heading = re.match(r"#+ (.*)", line)
-        if heading is None:
-            continue
-        name = _anchor(heading[1])
-        names.add(f"{name}-{found[name]}" if found[name] else name)
-        found[name] += 1
+        if heading := re.match(r"#+ (.*)", line):
+            name = _anchor(heading[1])
+            names.add(f"{name}-{found[name]}" if found[name] else name)
+            found[name] += 1
     return names
 
 

@@ -1,7 +1,4 @@
-"""Runs of the code blocks of a page.
-
-In their order, in one folder and in this process.
-"""
+"""Runs of the code blocks of a page, in their order, in one folder and in this process."""
 
 import contextlib
 import io

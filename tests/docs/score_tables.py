@@ -1,6 +1,4 @@
-"""Tables of scores in the pages of the tasks. Run `python -m tests.docs.score_tables [--write]`. A
-page holds its table between `<!-- scores: TASK -->` and `<!-- end scores -->`. The costs, which all
-tasks share, are described in the page of the task reconstruction."""
+"""Tables of scores in pages of tasks. Run `python -m tests.docs.score_tables [--write]`."""
 
 import re
 import sys

@@ -14,26 +14,12 @@ from tests.docs.pages import PAGES, ROOT, blocks, prose, read
 from tests.docs.runner import Page
 
 _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(page))]
-_SLOW = {
-    "docs/formats/dataset.md",
-    "docs/formats/samples.md",
-    "docs/start/experimenter.md",
-    "docs/start/tutorial.md",
-    "docs/tasks/calibration.md",
-    "docs/tasks/particles.md",
-    "docs/using/challenges.md",
-    "docs/using/export.md",
-    "README.md",
-    "CONTRIBUTING.md",
-    "docs/developing/participate.md",
-    "docs/formats/foreign.md",
-    "docs/using/calibrating.md",
-    "docs/using/detection.md",
-    "docs/using/own-recordings.md",
-    "docs/using/planning.md",
-    "docs/using/streaming.md",
-    "docs/using/viewing.md",
-}
+_START = ("start/experimenter", "start/tutorial", "tasks/calibration", "tasks/particles")
+_FORMATS = ("formats/dataset", "formats/samples", "formats/foreign", "developing/participate")
+_USING = ("calibrating", "challenges", "detection", "export", "own-recordings", "planning")
+_SLOW = {f"docs/{name}.md" for name in (*_START, *_FORMATS)}
+_SLOW |= {f"docs/using/{name}.md" for name in (*_USING, "streaming", "viewing")}
+_SLOW |= {"README.md", "CONTRIBUTING.md"}
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +37,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=pytest.mark.slow) if page in _SLOW else page for page in _RUN],
+    "page", [pytest.param(page, marks=pytest.mark.slow) if page in _SLOW else page for page in _RUN]
 )
 def test_code_blocks_run(
     page: str, folder: Path, cache: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,5 +1,4 @@
-"""Every notebook of the examples runs, and is stored without outputs. Their cells are executed in
-this process, in an empty folder: no kernel starts."""
+"""Every notebook runs, in this process and an empty folder, and is stored without outputs."""
 
 import json
 from pathlib import Path

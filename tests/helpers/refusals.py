@@ -22,8 +22,13 @@ _NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _sentences: dict[str, list[str]] = (
     json.loads(SNAPSHOT.read_text(encoding="utf-8")) if SNAPSHOT.exists() else {}
 )
-_reached: dict[str, int] = {}
+_reached: dict[str, int] = {}  # sentences of the running test that were compared
 update = False  # set by the option of pytest
+
+
+def begin() -> None:
+    """Begin a run of a test."""
+    _reached.clear()
 
 
 @contextmanager

@@ -1,5 +1,4 @@
-"""Regression of the quick scene's figures. Change a figure here only on purpose, and report the
-change in the CHANGELOG."""
+"""Regression of the quick scene's figures. Report a change of them in the CHANGELOG."""
 
 import json
 from pathlib import Path
@@ -27,8 +26,7 @@ def measure(dataset: Dataset, result: Path) -> dict[str, float]:
 
 
 def test_statistics(quick: Dataset, quick_result: Path, request: pytest.FixtureRequest) -> None:
-    """Other processors round single precision otherwise. A tolerance of 1e-3 covers that in means.
-    Scores of 255 particles move in steps of 1/255."""
+    """Processors round single precision differently; scores move in steps of 1/255 particles."""
     figures = measure(quick, quick_result)
     if request.config.getoption("--update-golden"):
         GOLDEN.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")

@@ -79,7 +79,8 @@ def _outlines(
     points[..., plane[0]] = steps[None, :, 0]
     points[..., plane[1]] = steps[:, None, 1]
     section = points
-    walls = list(dict.fromkeys(filter(None, (camera.wall for camera in view.rig.cameras))))
+    cameras = view.rig.cameras
+    walls = list(dict.fromkeys(camera.wall for camera in cameras if camera.wall is not None))
     for wall in walls:
         for depth in _faces(wall):
             for line in _contours(wall.depth_of(section) - depth, low, high):

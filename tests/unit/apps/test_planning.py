@@ -30,9 +30,9 @@ from sabench.scenes import Scene, find, load_scene, parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.rendering.particle_images import defocus_px
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
 from tests.conftest import Command
-from tests.helpers.commands import succeed
+from tests.helpers.commands import refuse, succeed
+from tests.helpers.refusals import check_sentence, refused
 
 
 def value(made: Plan, key: str) -> float:
@@ -88,11 +88,8 @@ def test_a_step_of_plane_spacing_moves_lines_of_sight_apart_by_a_pixel() -> None
     made = plan("standard-particles")
     view, pair = made.viewing, made.viewing.inner_pair
     assert pair is not None
-    step = value(made, "plane_spacing_mm")
-    ends = [
-        made.rig.cameras[number].carry(view.center_mm[None], float(view.center_mm[2]) + step)
-        for number in pair
-    ]
+    depth = float(view.center_mm[2]) + value(made, "plane_spacing_mm")
+    ends = [made.rig.cameras[number].carry(view.center_mm[None], depth) for number in pair]
     apart = float(np.linalg.norm(ends[0] - ends[1]))
     assert apart == pytest.approx(value(made, "pixel_center_mm"), rel=1e-6)
 
@@ -106,20 +103,14 @@ def test_figures_do_not_depend_on_the_direction_of_the_axes() -> None:
     def turned(vector: list[float]) -> list[float]:
         return [vector[axis] for axis in order]
 
-    for table, key in [
-        ("volume", "center_mm"),
-        ("volume", "size_mm"),
-        ("grid", "voxel_mm"),
-        ("grid", "crop_mm"),
-        ("wall", "point_mm"),
-        ("wall", "normal"),
-        ("cameras", "center_mm"),
-        ("cameras", "x_axis"),
-        ("cameras", "y_axis"),
-        ("illumination", "direction"),
-        ("illumination", "sheet_normal"),
-    ]:
-        values[table][key] = turned(values[table][key])
+    for table, keys in {
+        "volume": ("center_mm", "size_mm"),
+        "grid": ("voxel_mm", "crop_mm"),
+        "wall": ("point_mm", "normal"),
+        "cameras": ("center_mm", "x_axis", "y_axis"),
+        "illumination": ("direction", "sheet_normal"),
+    }.items():
+        values[table] |= {key: turned(values[table][key]) for key in keys}
     made, other = plan(scene), plan(parse_scene(values, "turned"))
     assert other.viewing.axis == 0
     for key in ("plane_spacing_ratio", "planes", "elongation", "common_depth_mm", "blur_back_px"):
@@ -144,7 +135,7 @@ def test_defocus_falls_as_the_f_number_rises() -> None:
 
 
 @pytest.mark.slow
-def test_photons_and_diameters_are_those_of_simulated_images() -> None:
+def test_photons_diameters_and_densities_are_those_of_simulated_images() -> None:
     scene = load_scene("quick")
     made, shot = plan(scene), simulate(scene)
     medians = [float(np.median(view.photons[view.visible])) for view in shot.views]
@@ -152,31 +143,22 @@ def test_photons_and_diameters_are_those_of_simulated_images() -> None:
     assert value(made, "photons") == pytest.approx(min(medians))
     assert value(made, "light_ratio") == pytest.approx(min(medians) / max(medians))
     assert value(made, "image_px") == pytest.approx(4.0 * np.mean(widths))
-
-
-@pytest.mark.slow
-def test_the_brightest_pixel_is_that_of_a_simulated_particle_at_a_pixel_s_centre() -> None:
-    scene = changed(
-        particles__count=1,
-        sensor__shot_noise=False,
-        sensor__read_noise_e=0.0,
-        volume__size_mm=[2, 2, 2],
-    )
-    made, shot = plan(scene), simulate(scene)
-    brightest = float(shot.observation.images.max())
-    grey = value(made, "peak_dn")
-    assert 0.55 * grey < brightest <= 1.01 * grey  # in a corner of four pixels, at a centre
-
-
-def test_density_counts_the_particles_on_the_images() -> None:
-    scene = load_scene("quick")
-    made, shot = plan(scene), simulate(scene)
     seen = np.mean([view.visible.sum() for view in shot.views])
     assert value(made, "ppp") == pytest.approx(seen / (240 * 320))
     assert value(made, "per_mm3") == pytest.approx(300 / (14.0 * 10.0 * 4.0))
     area = math.pi / 4.0 * value(made, "image_px") ** 2
     expected = value(made, "ppp_center") ** 3 * area**4 * 40  # (3.14), 40 planes of voxels
     assert value(made, "ghosts_per_particle") == pytest.approx(expected)
+
+
+@pytest.mark.slow
+def test_the_brightest_pixel_is_that_of_a_simulated_particle_at_a_pixel_s_centre() -> None:
+    exact: dict[str, Any] = {"sensor__shot_noise": False, "sensor__read_noise_e": 0.0}
+    scene = changed(particles__count=1, volume__size_mm=[2, 2, 2], **exact)
+    made, shot = plan(scene), simulate(scene)
+    brightest = float(shot.observation.images.max())
+    grey = value(made, "peak_dn")
+    assert 0.55 * grey < brightest <= 1.01 * grey  # in a corner of four pixels, at a centre
 
 
 def test_two_pulses_straddle_the_gap_between_exposures() -> None:
@@ -216,7 +198,6 @@ WARNED = [
 def test_warnings_name_the_key_to_change(key: str, changes: dict[str, Any]) -> None:
     advice = plan(changed(**changes)).advice
     sentences = [one.sentence for one in advice if one.key == key]
-    assert sentences
     assert any(key in sentence for sentence in sentences)
 
 
@@ -236,11 +217,10 @@ def test_an_impossible_scene_gets_generates_sentence(command: Command, tmp_path:
     text = find("quick", "scenes").read_text(encoding="utf-8")
     file = tmp_path / "mine.toml"
     file.write_text(text.replace("[0.0, 0.0, 30.0]", "[0.0, 0.0, 3.0]"), encoding="utf-8")
-    planned = command("plan", str(file), "--json")
-    made = command("generate", str(file), "-o", str(tmp_path / "made"))
-    assert planned.returncode == made.returncode == 2
+    planned = refuse(command("plan", str(file), "--json"))
+    made = refuse(command("generate", str(file), "-o", str(tmp_path / "made")))
     assert planned.stdout == ""
-    assert "behind the wall's inner face" in planned.stderr
+    check_sentence(planned.stderr, "volume")
     assert planned.stderr.splitlines()[-1] == made.stderr.splitlines()[-1]
 
 
@@ -248,7 +228,6 @@ def test_an_impossible_scene_gets_generates_sentence(command: Command, tmp_path:
 @pytest.mark.parametrize(
     ("base", "wanted"),
     [
-        ("standard-particles", Wanted(20.0, 0.2, 0.08)),
         ("standard-particles", Wanted(4.0, 5.0, 0.03)),
         ("quick", Wanted(60.0, 0.01, 0.1)),
         ("thesis-50x50x10", Wanted(30.0, 0.5, 0.06)),
@@ -256,38 +235,36 @@ def test_an_impossible_scene_gets_generates_sentence(command: Command, tmp_path:
 )
 def test_a_design_has_what_was_wanted(base: str, wanted: Wanted) -> None:
     start, made = plan(base), plan(design_scene(load_scene(base), wanted))
-    figures, before = made.to_dict()["figures"], start.to_dict()["figures"]
-    assert figures["depth_mm"]["value"] == wanted.depth_mm
-    assert figures["per_mm3"]["value"] == pytest.approx(wanted.per_mm3, rel=0.01)
-    assert figures["pixel_center_mm"]["value"] == pytest.approx(wanted.pixel_mm, rel=1e-3)
-    assert figures["scored_share"]["value"] > 0.99
-    assert figures["cameras"] == before["cameras"]
-    assert figures["peak_e"]["value"] == pytest.approx(before["peak_e"]["value"], rel=0.05)
-    fields = [one["depth_of_field_mm"]["value"] for one in (figures, before)]
-    assert fields[0] >= 0.999 * wanted.depth_mm
+    assert value(made, "depth_mm") == wanted.depth_mm
+    assert value(made, "per_mm3") == pytest.approx(wanted.per_mm3, rel=0.01)
+    assert value(made, "pixel_center_mm") == pytest.approx(wanted.pixel_mm, rel=1e-3)
+    assert value(made, "scored_share") > 0.99
+    assert value(made, "cameras") == value(start, "cameras")
+    assert value(made, "peak_e") == pytest.approx(value(start, "peak_e"), rel=0.05)
+    assert value(made, "depth_of_field_mm") >= 0.999 * wanted.depth_mm
 
 
 @pytest.mark.slow
 def test_the_base_s_own_figures_give_the_base() -> None:
     base = load_scene("standard-particles")
-    figures = plan(base).to_dict()["figures"]
-    wanted = Wanted(*(figures[key]["value"] for key in ("depth_mm", "per_mm3", "pixel_center_mm")))
-    made = design_scene(base, wanted)
+    start = plan(base)
+    keys = ("depth_mm", "per_mm3", "pixel_center_mm")
+    made = design_scene(base, Wanted(*(value(start, key) for key in keys)))
     assert made.cameras.center_mm == pytest.approx(base.cameras.center_mm, rel=1e-3)
     assert made.volume.size_mm == pytest.approx(base.volume.size_mm, rel=1e-3)
     assert made.light.pulse_energy_mj == pytest.approx(base.light.pulse_energy_mj, rel=0.01)
 
 
 @pytest.mark.parametrize(
-    ("base", "sentence"),
+    ("base", "key"),
     [
-        ("vortex-ring-experiment", "cameras.layout.kind: expected grid, ring, line or cross"),
-        ("cylinder-tank", "wall: expected one plane wall or none"),
-        ("plunging-jet-7", "particles: expected a scene with particles"),
+        ("vortex-ring-experiment", "cameras.layout.kind"),
+        ("cylinder-tank", "wall"),
+        ("plunging-jet-7", "particles"),
     ],
 )
-def test_bases_that_cannot_be_scaled_are_refused(base: str, sentence: str) -> None:
-    with pytest.raises(InputError, match=sentence):
+def test_bases_that_cannot_be_scaled_are_refused(base: str, key: str) -> None:
+    with refused(key):
         design_scene(load_scene(base), Wanted(10.0, 0.1, 0.05))
 
 
@@ -297,11 +274,10 @@ def test_the_command_writes_a_scene_that_can_be_planned(command: Command, tmp_pa
     words = ("--depth", "8", "--density", "0.5", "--resolution", "0.05")
     succeed(command("plan", *words, "-o", str(file)))
     assert load_scene(file).volume.size_mm[2] == 8.0
-    again = command("plan", *words, "-o", str(file))
-    assert again.returncode == 2
-    missing = command("plan", "--depth", "8", "-o", str(tmp_path / "other.toml"))
-    assert "--density, --resolution: expected" in missing.stderr
-    assert "SCENE: expected a scene file" in command("plan").stderr
+    refuse(command("plan", *words, "-o", str(file)))
+    missing = refuse(command("plan", "--depth", "8", "-o", str(tmp_path / "other.toml")))
+    check_sentence(missing.stderr, "--density, --resolution")
+    check_sentence(refuse(command("plan")).stderr, "SCENE")
     assert not (tmp_path / "other.toml").exists()
 
 
@@ -399,13 +375,8 @@ def test_the_model_stops_at_the_edge_of_its_range() -> None:
 )
 def test_a_plan_outside_the_range_says_how_far(changes: dict[str, Any], key: str) -> None:
     scene = override(load_scene("standard-particles"), changes, "standard-particles")
-    sentences = [
-        one.sentence
-        for one in plan(scene).advice
-        if one.key == key and "measured scenes" in one.sentence
-    ]
-    assert sentences
-    assert " times the " in sentences[0]
+    sentences = [one.sentence for one in plan(scene).advice if one.key == key]
+    assert any("measured scenes" in one and " times the " in one for one in sentences)
 
 
 @pytest.mark.slow
@@ -413,9 +384,8 @@ def test_the_record_is_of_the_scenes_that_the_benchmark_draws() -> None:
     number = planner.NOT_FITTED[0]
     scene = planner.draw_scene(number)
     figures = planner.figures_of(scene)
-    features = RECORD[str(number)]["features"]
     expected = list(features_of(figures))
-    np.testing.assert_allclose(expected, features, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(expected, RECORD[str(number)]["features"], rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.slow

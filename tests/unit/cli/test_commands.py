@@ -14,10 +14,9 @@ from sabench.cli import main as command_line
 from sabench.utils.errors import InputError
 from tests.conftest import ROOT, Command
 from tests.helpers.commands import refuse, succeed
+from tests.helpers.refusals import check_sentence
 
 GONE = '"""Gone."""\n\nfrom sabench.reproject import sweep\n'
-
-
 registered = command_line.app.registered_commands.copy
 
 
@@ -65,8 +64,8 @@ def test_a_list_can_be_filtered(command: Command) -> None:
     assert {one["task"] for one in found} == {"velocimetry"}
     suites = json.loads(command("list", "--kind", "suite", "--json").stdout)
     assert {one["kind"] for one in suites} == {"suite"}
-    refuse(command("list", "--task", "velocity"), "--task: expected one of bubbles, ")
-    assert "--kind: expected one of" in command("list", "--kind", "solvers").stderr
+    check_sentence(refuse(command("list", "--task", "velocity")).stderr, "--task")
+    check_sentence(refuse(command("list", "--kind", "solvers")).stderr, "--kind")
 
 
 def test_a_broken_plug_in(
@@ -80,8 +79,7 @@ def test_a_broken_plug_in(
     assert done.returncode == 0
     assert done.stdout == whole
     (warning,) = done.stderr.splitlines()
-    assert warning.startswith("warning: solver gone: ")
-    assert "there is no module sabench.reproject" in warning
+    check_sentence(warning, "gone", "sabench.reproject")
 
 
 def test_the_bare_command_prints_help_and_no_error(command: Command) -> None:
@@ -123,13 +121,9 @@ def test_shells_complete_names(command: Command, words: str, offered: str) -> No
         "COMP_CWORD": str(len(words.split())),
     }
     script = "from sabench.cli.main import app; app(prog_name='sabench')"
+    call, environment = [sys.executable, "-c", script], os.environ | environment
     done = subprocess.run(
-        [sys.executable, "-c", script],
-        env=os.environ | environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
+        call, env=environment, cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert offered in done.stdout.split(), done.stderr
 

@@ -17,8 +17,8 @@ from sabench.dataset.copies import pack_samples
 from sabench.dataset.import_recording import check_numbers
 from sabench.dataset.sample_set import SampleSet
 from sabench.images.image_files import Files
-from sabench.utils.errors import InputError
 from sabench.utils.files import sha256
+from tests.helpers.refusals import check_sentence, refused
 from tests.helpers.sample_sets import COUNT, make
 from tests.unit.simulation.test_streaming import make_scene
 
@@ -37,7 +37,7 @@ def test_places_count_from_both_ends(samples: SampleSet) -> None:
     assert [one.number for one in samples[3:9:2]] == numbers[3:9:2]
     assert samples[np.int64(2)].number == numbers[2]
     for place in (COUNT, -COUNT - 1):
-        with pytest.raises(IndexError, match=f"expected 0 to {COUNT - 1}"):
+        with refused(kind=IndexError):
             samples[place]
 
 
@@ -46,6 +46,7 @@ def test_batches_hold_every_sample_once(samples: SampleSet) -> None:
     assert [len(batch.images) for batch in batches] == [4, 4, 4, 4, 4, 1]
     assert np.concatenate([one.numbers for one in batches]).tolist() == [x.number for x in samples]
     np.testing.assert_array_equal(batches[1].images[2], samples[6].images)
+    assert np.shares_memory(np.from_dlpack(batches[0].images), batches[0].images)
 
 
 def test_shuffled_batches_depend_on_the_seed_alone(samples: SampleSet) -> None:
@@ -71,12 +72,9 @@ def test_an_epoch_opens_files_once(samples: SampleSet, monkeypatch: pytest.Monke
 
 
 def test_parts_share_an_epoch(samples: SampleSet) -> None:
-    parts = [
-        [batch.numbers.tolist() for batch in samples.batches(2, start=1, part=(k, 3))]
-        for k in range(3)
-    ]
     every = [batch.numbers.tolist() for batch in samples.batches(2)]
-    for k, part in enumerate(parts):
+    for k in range(3):
+        part = [batch.numbers.tolist() for batch in samples.batches(2, start=1, part=(k, 3))]
         assert part == [one for place, one in enumerate(every) if place and place % 3 == k]
 
 
@@ -95,7 +93,7 @@ def test_splits_are_selected_by_name(samples: SampleSet) -> None:
     assert test.splits == {"test": len(test)}
     again = sabench.open_samples(samples.root, "test")
     assert [one.number for one in again] == [one.number for one in test]
-    with pytest.raises(InputError, match="expected one of the splits train, validation, test"):
+    with refused():
         samples.split("evaluation")
 
 
@@ -109,7 +107,7 @@ def test_arrays_are_padded_with_what_is_no_particle(samples: SampleSet) -> None:
         own = one.particles[1].position_mm
         np.testing.assert_array_equal(arrays["position_mm"][row, 1][there], own)
         assert not arrays["position_mm"][row, 1][~there].any()
-    with pytest.raises(InputError, match="expected at most 5 particles"):
+    with refused():
         batch.arrays(5)
 
 
@@ -117,11 +115,6 @@ def test_displacements_come_from_batches_on_disk_too(samples: SampleSet) -> None
     (positions, moves), *_ = next(samples.batches(2)).displacements_mm()
     assert len(positions) > 10
     np.testing.assert_allclose(moves, np.tile([0.1, 0.0, 0.0], (len(moves), 1)), atol=1e-9)
-
-
-def test_numpy_hands_images_on_without_a_copy(samples: SampleSet) -> None:
-    images = next(samples.batches(2)).images
-    assert np.shares_memory(np.from_dlpack(images), images)
 
 
 def test_another_process_opens_files_of_its_own(samples: SampleSet) -> None:
@@ -153,16 +146,14 @@ def test_frames_of_version_1_are_samples(tmp_path: Path) -> None:
     assert (one.drawn, one.redrawn, one.seed) == ({}, 0, 3)
     assert one.true_cameras == data.true_cameras
     assert one.setup.frames == 1
-    with pytest.raises(InputError, match="frame 1: expected 0 to 0"):
+    with refused("frame 1"):
         one.observation(1)
 
 
 def test_groups_of_pulses_are_samples(tmp_path: Path) -> None:
-    scene = make_scene(
-        frames=4,
-        timing={"pulses_s": [0.0, 1e-4], "rate_hz": 10.0},
-        flow={"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]},
-    )
+    timing = {"pulses_s": [0.0, 1e-4], "rate_hz": 10.0}
+    flow = {"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]}
+    scene = make_scene(frames=4, timing=timing, flow=flow)
     data = sabench.generate(scene, tmp_path / "pairs", seed=3, backend="splat")
     frames = sabench.open_samples(data.root)
     assert len(frames) == 2
@@ -172,11 +163,11 @@ def test_groups_of_pulses_are_samples(tmp_path: Path) -> None:
 
 
 def test_what_is_no_data_set_is_refused(tmp_path: Path, samples: SampleSet) -> None:
-    with pytest.raises(InputError, match="expected a data set's manifest"):
+    with refused():
         sabench.open_samples(tmp_path)
-    with pytest.raises(InputError, match="batch: expected 1 or more"):
+    with refused("batch"):
         next(samples.batches(0))
-    with pytest.raises(InputError, match=r"open it with sabench\.open_samples"):
+    with refused():
         sabench.open_dataset(samples.root)
 
 
@@ -184,34 +175,27 @@ def test_a_damaged_shard_is_named(samples: SampleSet, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(samples.root, tmp_path / "copy"))
     file = copy / "observation" / "train-00000.h5"
     file.write_bytes(file.read_bytes()[:2000])
-    with pytest.raises(InputError, match=r"train-00000\.h5: expected an intact HDF5 file"):
+    with refused("train-00000.h5"):
         _ = sabench.open_samples(copy)[0]
     file.unlink()
-    with pytest.raises(InputError, match=r"train-00000\.h5: expected a shard, found none"):
+    with refused("train-00000.h5"):
         _ = sabench.open_samples(copy)[0]
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> SampleSet:
-    return make(tmp_path_factory.mktemp("samples") / "whole")
 
 
 @pytest.fixture
-def copy(whole: SampleSet, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(whole.root, tmp_path / "copy"))
+def copy(samples: SampleSet, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(samples.root, tmp_path / "copy"))
 
 
-@pytest.mark.slow
-def test_an_intact_set_has_no_faults(whole: SampleSet) -> None:
-    assert sabench.verify(whole.root) == []
+def test_an_intact_set_has_no_faults(samples: SampleSet) -> None:
+    assert sabench.verify(samples.root) == []
 
 
 def test_verify_names_a_shard_that_is_cut_off(copy: Path) -> None:
     file = copy / "observation" / "train-00001.h5"
     file.write_bytes(file.read_bytes()[:999])
     (fault,) = sabench.verify(copy)
-    assert "train-00001.h5" in fault
-    assert "999 of" in fault
+    check_sentence(fault, "train-00001.h5", "999")
 
 
 def test_verify_names_shards_that_are_swapped(copy: Path) -> None:
@@ -221,19 +205,17 @@ def test_verify_names_shards_that_are_swapped(copy: Path) -> None:
     (copy / "x").rename(other)
     faults = sabench.verify(copy)
     assert len(faults) == 2
-    assert "train-00000.h5" in faults[0]
-    assert "those of truth/train-00001.h5" in faults[0]
+    check_sentence(faults[0], "train-00000.h5", "truth/train-00001.h5")
 
 
 def test_verify_names_a_shard_that_is_doubled_or_missing(copy: Path) -> None:
     shutil.copyfile(copy / "truth" / "train-00000.h5", copy / "truth" / "train-00002.h5")
     (copy / "truth" / "test-00000.h5").unlink()
     shutil.copyfile(copy / "truth" / "train-00001.h5", copy / "truth" / "train-00009.h5")
-    faults = sabench.verify(copy)
-    assert [fault for fault in faults if "train-00009.h5: a file that the manifest" in fault]
-    assert [fault for fault in faults if "train-00002.h5" in fault and "train-00000.h5" in fault]
-    assert [fault for fault in faults if "test-00000.h5: missing" in fault]
-    assert len(faults) == 3
+    missing, double, unknown = sorted(sabench.verify(copy))
+    check_sentence(missing, "test-00000.h5")
+    check_sentence(double, "train-00002.h5", "train-00000.h5")
+    check_sentence(unknown, "train-00009.h5")
 
 
 def forge(folder: Path, **keys: Any) -> None:
@@ -250,19 +232,19 @@ def forge(folder: Path, **keys: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("change", "key"),
     [
-        (lambda shards: shards[1:], "train-00000 1 time(s), got 0"),
-        (lambda shards: [*shards, shards[0]], "train-00000 1 time(s), got 2"),
-        (lambda shards: [{**shards[0], "split": "test"}, *shards[1:]], "of train, got 4"),
-        (lambda shards: [{**shards[0], "last": 0}, *shards[1:]], "train-00000: expected 4 samples"),
+        (lambda shards: shards[1:], "train-00000"),
+        (lambda shards: [*shards, shards[0]], "train-00000"),
+        (lambda shards: [{**shards[0], "split": "test"}, *shards[1:]], "train"),
+        (lambda shards: [{**shards[0], "last": 0}, *shards[1:]], "train-00000"),
     ],
 )
-def test_verify_finds_shards_that_leave_the_plan(copy: Path, change: Any, named: str) -> None:
+def test_verify_finds_shards_that_leave_the_plan(copy: Path, change: Any, key: str) -> None:
     """The manifest's own hashes are right: a shard of another split would leak samples."""
     shards = json.loads((copy / "manifest.json").read_text())["shards"]
     forge(copy, shards=change(shards))
-    assert any(named in fault for fault in sabench.verify(copy)), sabench.verify(copy)
+    check_sentence(" ".join(sabench.verify(copy)), key)
 
 
 def test_verify_finds_samples_of_another_split_in_a_shard(copy: Path) -> None:
@@ -271,7 +253,7 @@ def test_verify_finds_samples_of_another_split_in_a_shard(copy: Path) -> None:
         shard["number"][0] = 0
     forge(copy)
     (fault,) = sabench.verify(copy)
-    assert "test-00000.h5: number: expected the samples" in fault
+    check_sentence(fault, "test-00000.h5: number")
 
 
 def test_the_observation_side_tells_nothing_of_the_truth(copy: Path, tmp_path: Path) -> None:
@@ -280,7 +262,7 @@ def test_the_observation_side_tells_nothing_of_the_truth(copy: Path, tmp_path: P
     samples = sabench.open_samples(blind, "test")
     assert samples[0].observation().images.shape == (4, 48, 64)
     for name in ("particles", "views", "drawn", "seed", "radiance", "true_cameras"):
-        with pytest.raises(InputError, match="with its truth, got the observation side alone"):
+        with refused():
             getattr(samples[0], name)
     names = {path.name for path in blind.iterdir()}
     assert names == {"manifest.json", "observation", "samples.csv"}
@@ -291,7 +273,9 @@ def test_the_observation_side_tells_nothing_of_the_truth(copy: Path, tmp_path: P
     assert secret["key"] not in told
 
 
-def test_the_index_tells_where_each_sample_lies(samples: SampleSet) -> None:
+def test_the_index_tells_where_each_sample_lies_and_the_card_counts_them(
+    samples: SampleSet,
+) -> None:
     with (samples.root / "samples.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == COUNT
@@ -300,9 +284,6 @@ def test_the_index_tells_where_each_sample_lies(samples: SampleSet) -> None:
         assert row["shard"].startswith(row["split"])
         with h5py.File(samples.root / "observation" / f"{row['shard']}.h5") as shard:
             assert shard["number"][int(row["row"])] == one.number
-
-
-def test_the_card_counts_the_samples(samples: SampleSet) -> None:
     text = (samples.root / "README.md").read_text()
     for name, count in samples.splits.items():
         assert f"| {name} | {count} |" in text
@@ -336,33 +317,33 @@ def taken(**names: list[str]) -> Files:
 
 def test_a_gap_that_others_do_not_have_is_named() -> None:
     """With as many files in the range, too."""
-    with_gap = taken(
-        a=["a/B0001.tif", "a/B0002.tif", "a/B0003.tif"],
-        b=["b/B0001.tif", "b/B0003.tif", "b/B0004.tif"],
-    )
+    there = {"a": (1, 2, 3), "b": (1, 3, 4)}
+    files = {name: [f"{name}/B000{n}.tif" for n in numbers] for name, numbers in there.items()}
+    with_gap = taken(**files)
     for chosen in (EVERY, slice(0, 2)):
-        with pytest.raises(InputError, match="b: expected an image of number 2, as other cameras"):
+        with refused("b: ", "number 2"):
             check_numbers(with_gap, chosen, [])
 
 
 @pytest.mark.parametrize(
-    "names",
+    ("names", "key"),
     [
-        {"a": ["a1_7.tif", "a1_9.tif"], "b": ["b2_7.tif", "b2_9.tif"]},  # 8 is nowhere
-        {"a": ["1_cam1.tif", "2_cam1.tif"], "b": ["1_cam2.tif", "2_cam2.tif"]},
-        {"a": ["a.tif"], "b": ["b.tif"]},
-        {"a": ["0.tif", "101.tif", "200.tif"], "b": ["1.tif", "99.tif", "201.tif"]},  # times
-        {"a": ["early.tif", "late.tif"], "b": ["x.tif", "y.tif"]},
-        {"a": ["1.tif", "2.tif", "3.tif"], "b": ["1.tif", "2.tif"]},  # counts tell of the end
+        ({"a": ["a1_7.tif", "a1_9.tif"], "b": ["b2_7.tif", "b2_9.tif"]}, None),  # 8 is nowhere
+        ({"a": ["1_cam1.tif", "2_cam1.tif"], "b": ["1_cam2.tif", "2_cam2.tif"]}, None),
+        ({"a": ["a.tif"], "b": ["b.tif"]}, None),
+        (
+            {"a": ["0.tif", "101.tif", "200.tif"], "b": ["1.tif", "99.tif", "201.tif"]},
+            None,
+        ),  # times
+        ({"a": ["early.tif", "late.tif"], "b": ["x.tif", "y.tif"]}, None),
+        ({"a": ["1.tif", "2.tif", "3.tif"], "b": ["1.tif", "2.tif"]}, None),  # counts tell the end
+        ({"a": ["a1.tif", "a2.tif"], "b": ["b11.tif", "b12.tif"]}, "1 of a, 11 of b"),
     ],
 )
-def test_frames_without_a_gap_are_taken(names: dict[str, list[str]]) -> None:
+def test_frames_without_a_gap_are_taken(names: dict[str, list[str]], key: str | None) -> None:
+    """Cameras that begin with other numbers are said."""
     notes: list[str] = []
     check_numbers(taken(**names), EVERY, notes)
-    assert notes == []
-
-
-def test_cameras_that_begin_with_other_numbers_are_said() -> None:
-    notes: list[str] = []
-    check_numbers(taken(a=["a1.tif", "a2.tif"], b=["b11.tif", "b12.tif"]), EVERY, notes)
-    assert notes == ["frames are paired in order, and images begin with numbers 1 of a, 11 of b"]
+    assert len(notes) == (key is not None)
+    for note in notes:
+        check_sentence(note, str(key))

@@ -10,12 +10,7 @@ import pytest
 from scipy import stats
 
 import sabench.evaluation.timed_solving  # noqa: F401 - names what the server loads
-from benchmarks import (
-    false_alarms,
-    quality_without_truth,
-    realism,
-    standard_tables,
-)
+from benchmarks import false_alarms, quality_without_truth, realism, standard_tables
 from benchmarks.particle_density import CASES, scene_of
 from benchmarks.particle_scores import Recording, find_particles, score_particles
 from sabench import tasks
@@ -47,9 +42,8 @@ def test_scores_are_those_of_the_task(scene: Scene, tmp_path: Path) -> None:
         np.concatenate([true + rng.normal(size=true.shape) @ root.T, true[:7] + 0.7]),
         covariance_mm2=np.broadcast_to(root @ root.T, (len(true) + 7, 3, 3)),
     )
-    own = score_particles(
-        found, shot, build_rig(scene).cameras, Recording(shot.observation.images, scene.sensor)
-    )
+    recording = Recording(shot.observation.images, scene.sensor)
+    own = score_particles(found, shot, build_rig(scene).cameras, recording)
     task = score_frame(data, found, shot.particles, 0)
     assert own["recall"] == pytest.approx(100.0 * float(task["recall"] or 0.0), abs=0.01)
     for key, digits in (("f1", 4), ("rms_px", 4), ("coverage_68", 3), ("coverage_95", 3)):
@@ -85,21 +79,18 @@ def test_light_scatters_between_cameras_as_the_case_says() -> None:
     assert scatter == pytest.approx(0.3, abs=0.03)
 
 
-PAGE = Path(__file__).resolve().parents[3] / "docs/using/quality.md"
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs/using/quality.md"
 
 
 def cases(sign: float) -> list[dict[str, Any]]:
-    return [
-        {
-            "solver": "bayesian_ipr",
-            "figures": {
-                key: float(n) if key != "followed" else None
-                for key, _ in quality_without_truth.PAIRS
-            },
-            "true": {true: sign * float(np.exp(n)) for _, true in quality_without_truth.PAIRS},
-        }
-        for n in range(5)
-    ]
+    made = []
+    for n in range(5):
+        pairs = quality_without_truth.PAIRS
+        figures = {key: float(n) if key != "followed" else None for key, _ in pairs}
+        true = {true: sign * float(np.exp(n)) for _, true in pairs}
+        made.append({"solver": "bayesian_ipr", "figures": figures, "true": true})
+    return made
 
 
 def test_ranks_are_compared_where_both_are_known() -> None:
@@ -124,7 +115,6 @@ def test_scenes_of_cases() -> None:
     assert quality_without_truth.make_scene(0.03, "bright", "true cameras").calibration is None
 
 
-ROOT = Path(__file__).resolve().parents[3]
 RECORDS: list[dict[str, Any]] = [
     {"case": "tracking-easy", "solver": "own", "label": None, "f1": 0.99},
     {"case": "tracking-easy", "solver": "optv", "label": "second", "f1": None},
@@ -134,27 +124,13 @@ RECORDS: list[dict[str, Any]] = [
 
 
 def test_a_table_has_a_row_for_each_case_and_a_column_for_each_solver() -> None:
-    lines = standard_tables.table(
-        standard_tables.collect(RECORDS, "tracking-", "f1", 3)
-    ).splitlines()
-    assert lines == [
-        "| case | own | second |",
-        "|---|---|---|",
-        "| easy | 0.990 | - |",
-        "| hard | 0.700 | - |",
-    ]
-
-
-def test_several_seeds_have_a_mean_and_an_interval() -> None:
+    """Several seeds have a mean and an interval."""
+    text = standard_tables.table(standard_tables.collect(RECORDS, "tracking-", "f1", 3))
+    rows = ["| easy | 0.990 | - |", "| hard | 0.700 | - |"]
+    assert text.splitlines() == ["| case | own | second |", "|---|---|---|", *rows]
     records = [{**RECORDS[0], "f1": 0.9 + 0.1 * seed} for seed in (0, 1)]
     row = standard_tables.collect(records, "tracking-", "f1", 2)["easy"]
     assert row == {"own": "0.95 ± 0.64"}  # t = 12.7 times the standard error
-
-
-def test_the_bundled_records_are_of_the_present_version() -> None:
-    found = standard_tables.read_tables([ROOT / "leaderboard" / "records"])
-    assert all(found.values())
-    assert set(found["reconstruction"]) >= {"easy", "standard", "hard"}
 
 
 SCORES: realism.Scores = {
@@ -165,19 +141,20 @@ SCORES: realism.Scores = {
 
 
 def test_a_cost_is_the_mean_over_the_seeds_of_both_cases() -> None:
+    """The best solver in clean images comes first."""
     width = stats.t.interval(0.95, 1, scale=stats.sem([-0.2, -0.1]))[1]
     assert realism.cost(SCORES, "mie", "good") == f"-0.150 ± {width:.3f}"
     assert realism.cost(SCORES, "clean", "good").startswith(f"{np.mean([0.9, 0.8, 0.95]):.3f} ± ")
     assert realism.cost(SCORES, "mie", "bad") == "-"
-
-
-def test_the_best_solver_in_clean_images_comes_first() -> None:
     lines = realism.table(SCORES, ["clean", "mie"]).splitlines()
     assert lines[0] == "| effect | `good` | `bad` |"
     assert [line.split(" | ")[0] for line in lines[2:]] == ["| clean: the score", "| mie"]
 
 
-def test_the_record_has_every_sensor() -> None:
+def test_the_bundled_records_are_of_the_present_version_and_have_every_sensor() -> None:
+    found = standard_tables.read_tables([ROOT / "leaderboard" / "records"])
+    assert all(found.values())
+    assert set(found["reconstruction"]) >= {"easy", "standard", "hard"}
     record = json.loads(false_alarms.RECORD.read_text(encoding="utf-8"))
     assert set(record["sensors"]) == set(false_alarms.SENSORS)
     assert false_alarms.tables(record)

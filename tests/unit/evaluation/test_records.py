@@ -12,8 +12,8 @@ import pytest
 from sabench import tasks
 from sabench.evaluation.record_schema import LONGEST_LINE, Head, score_faults
 from sabench.evaluation.records import append, latest, read_records
-from sabench.utils.errors import InputError
 from tests.conftest import ROOT
+from tests.helpers.refusals import check_sentence, refused
 
 WRITERS, LINES = 16, 40
 FORKS = """
@@ -68,10 +68,8 @@ def test_records_come_in_the_order_of_files_and_lines_with_defaults(tmp_path: Pa
         json.dumps(record("first")) + "\n\n" + json.dumps(record("second")) + "\n"
     )
     assert solvers(tmp_path) == ["first", "second", "third"]
-    assert read_records(tmp_path)[2] == {
-        **Head.model_validate(record("third")).model_dump(),
-        "q": 0.5,
-    }
+    head = Head.model_validate(record("third")).model_dump()
+    assert read_records(tmp_path)[2] == {**head, "q": 0.5}
 
 
 @pytest.mark.parametrize("kept", [1, 10, -1])
@@ -87,48 +85,32 @@ def test_a_torn_last_line_is_left_out_and_cut_off_before_the_next(
     assert capsys.readouterr().err == ""
 
 
-WRONG: list[dict[str, Any]] = [
-    {"case": 1},
-    {"axes": []},
-    {"label": ["x"]},
-    {"seed": True},
-    {"version": 3},
-    {"submission": {"name": "", "date": "x"}},
-    {"submission": {"name": "Ann", "date": "9999-99-99"}},
-    {"submission": {"name": "Ann", "date": "9999-12-31"}},
-    {"submission": {"name": "Ann", "date": "2026-02-30"}},
-    {"reference_s": 1.7e308},
-    {"reference_s": -1.0},
-    {"q": 2.5},
-    {"peak_f1_within_0.5": 1.5},
-    {"peak_f1_within_0.5": "much"},
-    {"q": 10**400},
-    {"q": True},
-    {"q": "0.9"},
-    {"q": [0.9]},
-    {"seconds": -1.0},
-    {"peak_mb": 1e300},
-    {"recall": 1.5},
-    {"true_percent": -3.0},
-    {"rms_px": -0.5},
-    {"task": "calibration", "true_px": -1.0},
-    {"seed": -1},
-    {"seed": 2**63},
-    {"solver": "x" * 201},
-    {"solver": "a\nb"},
-    {"label": "\x1b[2J"},
-    {"case": "\ud800"},
-    {"command": "sabench run s\nrm -r ."},
-    {"pictures": "../../etc"},
-    {"pictures": "/etc"},
-    {"pictures": "a/../../b"},
-    {"pictures": "a\\b"},
-    {"pictures": "a\0b"},
-    {"parameters": {"a": [[[[[[[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]]]]]]]}},
-    {"unknown": {"a": 1}},
-    {"unknown": "x" * 201},
-    {"x" * 201: 1},
-]
+VALUES: dict[str, list[Any]] = {
+    "case": [1, "\ud800"],
+    "axes": [[]],
+    "label": [["x"], "\x1b[2J"],
+    "seed": [True, -1, 2**63],
+    "version": [3],
+    "submission": [{"name": "", "date": "x"}],
+    "reference_s": [1.7e308, -1.0],
+    "q": [2.5, 10**400, True, "0.9", [0.9]],
+    "peak_f1_within_0.5": [1.5, "much"],
+    "seconds": [-1.0],
+    "peak_mb": [1e300],
+    "recall": [1.5],
+    "true_percent": [-3.0],
+    "rms_px": [-0.5],
+    "solver": ["x" * 201, "a\nb"],
+    "command": ["sabench run s\nrm -r ."],
+    "pictures": ["../../etc", "/etc", "a/../../b", "a\\b", "a\0b"],
+    "parameters": [{"a": [[[[[[[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]]]]]]]}],
+    "unknown": [{"a": 1}, "x" * 201],
+    "x" * 201: [1],
+}
+DATES = ("9999-99-99", "9999-12-31", "2026-02-30")
+WRONG: list[dict[str, Any]] = [{key: one} for key, every in VALUES.items() for one in every]
+WRONG += [{"submission": {"name": "Ann", "date": date}} for date in DATES]
+WRONG += [{"task": "calibration", "true_px": -1.0}]
 BROKEN = [
     b"{",
     b"[1]",
@@ -153,14 +135,11 @@ def test_a_broken_line_is_named_and_left_out(
     whole = json.dumps(record("whole")).encode()
     (tmp_path / "a.jsonl").write_bytes(whole + b"\n" + broken + b"\n" + whole + b"\n")
     assert solvers(tmp_path) == ["whole", "whole"]
-    assert "a.jsonl: line 2 is left out: expected a record" in " ".join(
-        capsys.readouterr().err.split()
-    )
+    warning = " ".join(capsys.readouterr().err.split())
+    assert "a.jsonl: line 2" in warning
 
 
-def test_a_line_of_any_length_is_left_out_in_little_memory(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_long_lines_take_little_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with (tmp_path / "a.jsonl").open("wb") as file:
         file.write(json.dumps(record("whole")).encode() + b"\n")
         for _ in range(100):
@@ -172,19 +151,17 @@ def test_a_line_of_any_length_is_left_out_in_little_memory(
         assert tracemalloc.get_traced_memory()[1] < 5_000_000
     finally:
         tracemalloc.stop()
-    assert f"more than {LONGEST_LINE} bytes" in capsys.readouterr().err
+    assert f" {LONGEST_LINE} " in capsys.readouterr().err
 
 
-def test_warnings_are_short_and_not_more_than_a_hundred_a_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_warnings_are_short_and_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = json.dumps(record("x" * 5000, 5.0, seed=-1, case="\x1b" * 90)) + "\n"
     (tmp_path / "a.jsonl").write_text(line * 150)
     assert read_records(tmp_path) == []
     warnings = capsys.readouterr().err.splitlines()
     assert len(warnings) == 101
     assert max(map(len, warnings)) < 400 + len(str(tmp_path))
-    assert warnings[-1].endswith("50 more lines are left out")
+    check_sentence(warnings[-1], "50")
 
 
 def test_every_bundled_record_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
@@ -213,33 +190,32 @@ def test_ranges_of_scores(task: str) -> None:
     "changes", [{"q": 2.5}, {"q": float("nan")}, {"solver": "x" * 201}, {"parameters": {"a": {1}}}]
 )
 def test_what_would_be_left_out_is_not_written(tmp_path: Path, changes: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="expected values that a record may have, got"):
+    with refused():
         append(tmp_path / "a.jsonl", record("x") | changes)
     assert not list(tmp_path.iterdir())
 
 
 def test_the_first_of_a_submission_stays() -> None:
     by = {"name": "Ann", "date": "2026-01-01"}
-    first = record("a", 0.5, submission=by)
-    again = record("a", 0.9, submission=by)
-    other_day = record("a", 0.6, submission=by | {"date": "2026-01-02"})
-    other_parameters = record("a", 0.7, submission=by, parameters={"k": 2})
-    other = record("a", 0.8, submission=by | {"name": "Bob"})
-    every = [first, again, other_day, other_parameters, other]
-    assert latest(every) == [first, other_day, other_parameters, other]
+    first, again = (record("a", q, submission=by) for q in (0.5, 0.9))
+    others = [
+        record("a", 0.6, submission=by | {"date": "2026-01-02"}),
+        record("a", 0.7, submission=by, parameters={"k": 2}),
+        record("a", 0.8, submission=by | {"name": "Bob"}),
+    ]
+    assert latest([first, again, *others]) == [first, *others]
 
 
 def test_latest_keeps_the_last_of_each_run() -> None:
     old, new = record("a", 0.5), record("a", 0.6)
-    others = [
-        record("b"),
-        record("a", seed=2),
-        record("a", parameters={"passes": 2}),
-        record("a", split="hidden"),
-        record("a", machine={"cpu": "another"}),
-        record("a", renderer="mitsuba"),
-        record("a", submission={"name": "x", "date": "2026-01-01"}),
+    changes: list[dict[str, Any]] = [
+        {"seed": 2},
+        {"parameters": {"passes": 2}},
+        {"split": "hidden"},
     ]
+    changes += [{"machine": {"cpu": "another"}}, {"renderer": "mitsuba"}]
+    changes += [{"submission": {"name": "x", "date": "2026-01-01"}}]
+    others = [record("b"), *(record("a", **one) for one in changes)]
     assert latest([old, *others, new]) == [new, *others]
 
 

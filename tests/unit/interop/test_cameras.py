@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import sys
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,9 @@ from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.processes import python
 from tests.conftest import pinholes
+from tests.helpers.refusals import check_sentence, refused
 
+pytestmark = pytest.mark.filterwarnings("ignore::sabench.interop.foreign.ForeignFormatWarning")
 LENS = Distortion(k1=0.05, k2=-0.2, p1=1e-3, p2=-5e-4, k3=0.01)
 TILT = (7.0, -11.0)
 
@@ -37,26 +38,21 @@ TILT = (7.0, -11.0)
 def rig(scene: str) -> tuple[tuple[Camera, ...], Grid, F64]:
     """Cameras, grid and points in it."""
     made = build_rig(load_scene(scene))
-    grid = made.grid
+    grid, share = made.grid, np.random.default_rng(1).random((200, 3))
     size = np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1)
-    return (
-        pinholes(made.cameras),
-        grid,
-        np.asarray(grid.low_mm) + size * np.random.default_rng(1).random((200, 3)),
-    )
+    return pinholes(made.cameras), grid, np.asarray(grid.low_mm) + size * share
 
 
 def walls(wall: AnyWall | None) -> dict[str, Wall | None]:
     """Walls that differ in what a format may get wrong."""
     assert isinstance(wall, Wall)
     normal = rotation_matrices(np.array([0.06, -0.04, 0.0])) @ np.array([0.0, 0.0, 1.0])
+    two = Layer("glass", 1.52, 4.0), Layer("acrylic", 1.49, 2.0)
     return {
         "glass": wall,
         "none": None,
         "bare": dataclasses.replace(wall, layers=()),
-        "two layers": dataclasses.replace(
-            wall, layers=(Layer("glass", 1.52, 4.0), Layer("acrylic", 1.49, 2.0))
-        ),
+        "two layers": dataclasses.replace(wall, layers=two),
         "tilted": dataclasses.replace(wall, normal=triple(normal)),
     }
 
@@ -70,33 +66,17 @@ def changed(**fields: Any) -> list[Camera]:
     return [dataclasses.replace(camera, **fields) for camera in CAMERAS]
 
 
-def read_quietly(path: Path, form: CameraFormat, **more: Any) -> tuple[CameraModel, ...]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ForeignFormatWarning)
-        return read_cameras(path, form, **more)
-
-
-def write_quietly(
-    folder: Path, cameras: Sequence[CameraModel], form: CameraFormat, grid: Grid | None = None
-) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ForeignFormatWarning)
-        write_cameras(folder, cameras, form, grid=grid)
-
-
 def difference_px(
     found: Sequence[CameraModel], true: Sequence[CameraModel], world: ForeignWorld
 ) -> float:
     """Largest distance of pixels of points over the volume."""
-    pairs = zip(found, true, strict=True)
-    return max(
-        float(np.abs(one.project(world.into(POINTS))[0] - other.project(POINTS)[0]).max())
-        for one, other in pairs
-    )
+    seen = (one.project(world.into(POINTS))[0] for one in found)
+    pairs = zip(seen, true, strict=True)
+    return max(float(np.abs(pixel - one.project(POINTS)[0]).max()) for pixel, one in pairs)
 
 
 CENTRED = {"distortion": LENS, "principal_point_px": (119.5, 119.5)}
-ASIDE = {"principal_point_px": (121.3, 117.8)}
+ASIDE: dict[str, Any] = {"principal_point_px": (121.3, 117.8)}
 ROUND_TRIPS = [
     ("openptv", {}),
     ("openptv", CENTRED),
@@ -116,54 +96,55 @@ ROUND_TRIPS = [
 @pytest.mark.parametrize(("form", "fields"), ROUND_TRIPS)
 def test_cameras_come_back(form: CameraFormat, fields: dict[str, object], tmp_path: Path) -> None:
     true = changed(**fields)
-    write_quietly(tmp_path / "out", true, form, GRID)
-    found = read_quietly(tmp_path / "out", form, size=SIZE)
+    write_cameras(tmp_path / "out", true, form, grid=GRID)
+    found = read_cameras(tmp_path / "out", form, size=SIZE)
     assert [(one.rows, one.columns) for one in found] == [SIZE] * len(true)
     assert difference_px(found, true, read_world(tmp_path / "out")) < NEAR_PX
 
 
 def test_points_through_a_wall_give_a_polynomial_camera(tmp_path: Path) -> None:
-    write_quietly(tmp_path / "out", CAMERAS, "lpt-challenge", GRID)
+    write_cameras(tmp_path / "out", CAMERAS, "lpt-challenge", grid=GRID)
     with pytest.warns(ForeignFormatWarning) as said:
         found = read_cameras(tmp_path / "out", "lpt-challenge", size=SIZE)
-    assert "camera 0: fitted Soloff to 3375 points" in str(said[0].message)
+    check_sentence(str(said[0].message), "camera 0", "3375")
     assert difference_px(found, CAMERAS, ForeignWorld()) < 1e-3
 
 
 @pytest.mark.parametrize("form", ["openptv", "openlpt", "myptv", "opencv", "lpt-challenge"])
 def test_losses_are_said(form: CameraFormat, tmp_path: Path) -> None:
-    with pytest.warns(ForeignFormatWarning, match=f"^{form}: its camera files do not carry f-num"):
+    with pytest.warns(ForeignFormatWarning) as said:
         write_cameras(tmp_path / "out", changed(wall=None), form, grid=GRID)
+    check_sentence(str(said[0].message), form)
 
 
 REFUSED = [
-    ("myptv", {}, "camera_00: MyPTV has polynomials for it: give the volume"),
-    ("lpt-challenge", {}, "expected a grid, over which the points are placed"),
-    ("opencv", {}, "camera_00: OpenCV has no walls"),
-    ("openptv", ASIDE | {"distortion": LENS}, "distortion about the centre of the image"),
-    ("openlpt", {"distortion": Distortion(k1=-0.1)}, "without a positive coefficient"),
-    ("matlab", {}, "matlab: expected a format that cameras can be written in"),
-    ("nonsense", {}, "cameras: expected a format of openptv, myptv"),
+    ("myptv", {}, "camera_00"),
+    ("lpt-challenge", {}, ""),
+    ("opencv", {}, "camera_00"),
+    ("openptv", ASIDE | {"distortion": LENS}, "camera_00"),
+    ("openlpt", {"distortion": Distortion(k1=-0.1)}, "camera_00"),
+    ("matlab", {}, "matlab"),
+    ("nonsense", {}, "cameras"),
 ]
 
 
-@pytest.mark.parametrize(("form", "fields", "sentence"), REFUSED)
+@pytest.mark.parametrize(("form", "fields", "key"), REFUSED)
 def test_what_would_project_elsewhere_is_refused(
-    form: CameraFormat, fields: dict[str, object], sentence: str, tmp_path: Path
+    form: CameraFormat, fields: dict[str, object], key: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=sentence):
+    with refused(key):
         write_cameras(tmp_path / "out", changed(**fields), form)
     assert not (tmp_path / "out").exists()
 
 
 def test_a_fifth_camera_is_refused(tmp_path: Path) -> None:
     five = [*CAMERAS, dataclasses.replace(CAMERAS[0], name="camera_04")]
-    with pytest.raises(InputError, match="openptv: OpenPTV has 4 cameras at most, got 5"):
+    with refused("openptv"):
         write_cameras(tmp_path / "out", five, "openptv", grid=GRID)
 
 
 def openptv_project(folder: Path, fields: dict[str, object] | None = None) -> Path:
-    write_quietly(folder, changed(**(fields or {})), "openptv", GRID)
+    write_cameras(folder, changed(**(fields or {})), "openptv", grid=GRID)
     return folder
 
 
@@ -189,16 +170,15 @@ def test_openptv_projects_a_strange_lens_as_we_read_it(tmp_path: Path) -> None:
     lines = ori.read_text(encoding="utf-8").splitlines()
     lines[7] = "0.05 -0.03"
     ori.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (ours, *_) = read_quietly(root, "openptv")
+    (ours, *_) = read_cameras(root, "openptv")
     assert isinstance(ours, CentralCamera)
     control = ControlParams(len(CAMERAS))
     control.read_control_par(str(par))
     theirs = optv.Calibration()
     theirs.from_file(str(ori), str(root / "cal" / "cam1.tif.addpar"))
     points = read_world(root).into(POINTS)
-    metric = image_coordinates(
-        np.ascontiguousarray(points), theirs, control.get_multimedia_params()
-    )
+    media = control.get_multimedia_params()
+    metric = image_coordinates(np.ascontiguousarray(points), theirs, media)
     pixels = convert_arr_metric_to_pixel(metric, control) - 0.5
     assert np.abs(ours.project(points)[0] - pixels).max() < 1e-3
     rays = ours.back_project(ours.project(points)[0])
@@ -214,22 +194,20 @@ def test_a_printed_rotation_is_made_orthonormal_and_said(tmp_path: Path) -> None
     for row in (3, 4, 5):
         lines[row] = " ".join(f"{float(word):.6f}" for word in lines[row].split())
     ori.write_text("\r\n".join(lines) + "\r\n", encoding="latin-1")
-    with pytest.warns(ForeignFormatWarning, match="made orthonormal; its elements change by up to"):
+    with pytest.warns(ForeignFormatWarning) as said:
         found = read_cameras(root, "openptv")
+    check_sentence(str(said[0].message))
     assert isinstance(found[0], Camera)
     rotation = np.asarray(found[0].rotation)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
     assert difference_px(found, CAMERAS, read_world(root)) < 0.01
 
 
-def test_exchanged_indices_are_said(tmp_path: Path) -> None:
-    root = openptv_project(tmp_path / "out")
+def exchange_indices(root: Path) -> None:
     wall = CAMERAS[0].wall
     assert wall is not None
     glass, water = wall.layers[0].index, wall.fluid_index
     edit(root / "parameters" / "ptv.par", f"{glass}\n{water}", f"{water}\n{glass}")
-    with pytest.warns(ForeignFormatWarning, match="look as if wall and fluid were exchanged"):
-        read_cameras(root, "openptv")
 
 
 def test_points_tell_exchanged_indices(tmp_path: Path) -> None:
@@ -237,50 +215,45 @@ def test_points_tell_exchanged_indices(tmp_path: Path) -> None:
     points = read_world(root).into(POINTS)
     pixels = np.stack([camera.project(POINTS)[0] for camera in CAMERAS])
     pixels[1, 3:9] = np.nan
-    with pytest.warns(ForeignFormatWarning, match=r"the points fit to .* px \(to"):
-        found = read_cameras(root, "openptv", points=(points, pixels))
-    assert difference_px(found, CAMERAS, read_world(root)) < NEAR_PX
-    wall = CAMERAS[0].wall
-    assert wall is not None
-    glass, water = wall.layers[0].index, wall.fluid_index
-    edit(root / "parameters" / "ptv.par", f"{glass}\n{water}", f"{water}\n{glass}")
-    with pytest.warns(ForeignFormatWarning) as said:
-        found = read_cameras(root, "openptv", points=(points, pixels))
-    assert "wall and fluid were exchanged: the points then fit to" in str(said[1].message)
-    assert difference_px(found, CAMERAS, read_world(root)) < NEAR_PX
-    with pytest.raises(InputError, match=r"expected \(n, 3\) and pixels \(4, 200, 2\)"):
-        read_quietly(root, "openptv", points=(points, pixels[:2]))
+    for exchanged in (False, True):
+        with pytest.warns(ForeignFormatWarning) as said:
+            found = read_cameras(root, "openptv", points=(points, pixels))
+        check_sentence(" ".join(str(one.message) for one in said))
+        assert difference_px(found, CAMERAS, read_world(root)) < NEAR_PX
+        if not exchanged:
+            exchange_indices(root)
+    with refused("(4, 200, 2)"):
+        read_cameras(root, "openptv", points=(points, pixels[:2]))
 
 
 BROKEN = [
-    ("parameters/ptv.par", None, "expected an OpenPTV project with parameters/ptv.par"),
-    ("parameters/ptv.par", "many\n", r"ptv.par: line 1: expected 1 numbers, got 'many'"),
-    ("cal/cam2.tif.ori", None, "cam2.tif.ori: expected the orientation of the camera cal/cam2.tif"),
-    ("cal/cam2.tif.ori", "1 2\n", "expected 8 lines with numbers, got 1"),
-    ("cal/cam2.tif.ori", "1 2\n" * 9, "line 1: expected 3 numbers, got '1 2'"),
-    ("cal/cam2.tif.addpar", "1 2 3\n", "cam2.tif.addpar: expected 7 numbers, got '1 2 3'"),
+    ("parameters/ptv.par", None, "parameters/ptv.par"),
+    ("parameters/ptv.par", "many\n", "ptv.par: line 1"),
+    ("cal/cam2.tif.ori", None, "cam2.tif.ori"),
+    ("cal/cam2.tif.ori", "1 2\n", "cam2.tif.ori"),
+    ("cal/cam2.tif.ori", "1 2\n" * 9, "cam2.tif.ori: line 1"),
+    ("cal/cam2.tif.addpar", "1 2 3\n", "cam2.tif.addpar"),
 ]
 
 
-@pytest.mark.parametrize(("name", "text", "sentence"), BROKEN)
-def test_a_broken_project(name: str, text: str | None, sentence: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "text", "key"), BROKEN)
+def test_a_broken_project(name: str, text: str | None, key: str, tmp_path: Path) -> None:
     root = openptv_project(tmp_path / "out")
     (root / name).unlink()
     if text is not None:
         (root / name).write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=sentence):
-        read_quietly(root, "openptv")
+    with refused(key):
+        read_cameras(root, "openptv")
 
 
 def test_metres_are_recognised(tmp_path: Path) -> None:
     far = changed(wall=None)
-    small = [
-        dataclasses.replace(one, center_mm=tuple(np.asarray(one.center_mm) / 1e3)) for one in far
-    ]
-    write_quietly(tmp_path / "out", small, "opencv")
-    with pytest.raises(InputError, match="the file seems to be in metres; name its unit"):
-        read_quietly(tmp_path / "out", "opencv")
-    found = read_quietly(tmp_path / "out", "opencv", unit="m")
+    near = {one.name: triple(np.asarray(one.center_mm) / 1e3) for one in far}
+    small = [dataclasses.replace(one, center_mm=near[one.name]) for one in far]
+    write_cameras(tmp_path / "out", small, "opencv")
+    with refused():
+        read_cameras(tmp_path / "out", "opencv")
+    found = read_cameras(tmp_path / "out", "opencv", unit="m")
     assert difference_px(found, far, ForeignWorld()) < NEAR_PX
 
 
@@ -290,9 +263,9 @@ def test_points_in_metres_are_scaled(kind: str, tmp_path: Path) -> None:
     wide = np.array([1.01, 1.0]) if kind == "projective" else np.ones(2)
     pixels = [camera.project(POINTS)[0] * wide for camera in true]
     np.savetxt(tmp_path / "points.txt", np.hstack([POINTS / 1e3, *pixels]), fmt="%.17g")
-    with pytest.raises(InputError, match="the file seems to be in metres"):
-        read_quietly(tmp_path / "points.txt", "lpt-challenge", size=SIZE)
-    found = read_quietly(tmp_path / "points.txt", "lpt-challenge", size=SIZE, unit="m")
+    with refused():
+        read_cameras(tmp_path / "points.txt", "lpt-challenge", size=SIZE)
+    found = read_cameras(tmp_path / "points.txt", "lpt-challenge", size=SIZE, unit="m")
     names = {"pinhole": "Camera", "projective": "Projective", "soloff": "Soloff"}
     assert {type(one).__name__ for one in found} == {names[kind]}
     for camera, seen in zip(found, pixels, strict=True):
@@ -309,15 +282,15 @@ def write_opencv(path: Path, bent: F64, matrix: F64) -> tuple[F64, F64]:
     return rotation, move
 
 
-@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
-@pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
+@pytest.mark.parametrize(
+    ("suffix", "count"), [(".yml", 4), (".xml", 5), (".json", 8), (".yml", 12), (".xml", 14)]
+)
 def test_opencv_projects_as_we_read_it(suffix: str, count: int, tmp_path: Path) -> None:
-    bent = np.array(
-        [0.05, -0.2, 1e-3, -5e-4, 0.01, 0.03, 0.01, 0.0, 1e-3, 2e-3, -1e-3, 1e-3, 0.02, -0.03]
-    )[:count]
+    terms = [0.05, -0.2, 1e-3, -5e-4, 0.01, 0.03, 0.01, 0.0, 1e-3, 2e-3, -1e-3, 1e-3, 0.02, -0.03]
+    bent = np.array(terms[:count])
     matrix = np.array([[2000.0, 0.0, 120.0], [0.0, 2003.0, 118.0], [0.0, 0.0, 1.0]])
     rotation, move = write_opencv(tmp_path / f"left{suffix}", bent, matrix)
-    (camera,) = read_quietly(tmp_path, "opencv", size=SIZE)
+    (camera,) = read_cameras(tmp_path, "opencv", size=SIZE)
     points = np.random.default_rng(2).uniform(-20.0, 20.0, (100, 3))
     turn = cv2.Rodrigues(rotation)[0]
     pixels = cv2.projectPoints(points, turn, move, matrix, bent)[0][:, 0]
@@ -330,23 +303,23 @@ def test_a_lens_without_a_place_is_refused(tmp_path: Path) -> None:
     storage = cv2.FileStorage(str(tmp_path / "cam.yml"), cv2.FILE_STORAGE_WRITE)
     storage.write("camera_matrix", np.eye(3))
     storage.release()
-    with pytest.raises(InputError, match=r"cam\.yml: expected a matrix R or rotation"):
-        read_quietly(tmp_path / "cam.yml", "opencv", size=SIZE)
+    with refused("cam.yml"):
+        read_cameras(tmp_path / "cam.yml", "opencv", size=SIZE)
     (tmp_path / "cam.yml").write_text("%YAML:1.0\n---\nK: [1, 2\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"cam\.yml: expected a"):
-        read_quietly(tmp_path / "cam.yml", "opencv", size=SIZE)
+    with pytest.raises(InputError, match=r"cam\.yml"):  # the sentence ends in OpenCV's own
+        read_cameras(tmp_path / "cam.yml", "opencv", size=SIZE)
 
 
 def test_myptvs_correction_bends_lines_of_sight(tmp_path: Path) -> None:
     (one, *_) = changed(wall=None)
-    write_quietly(tmp_path / "out", [one], "myptv")
+    write_cameras(tmp_path / "out", [one], "myptv")
     file = tmp_path / "out" / one.name
     lines = file.read_text(encoding="utf-8").splitlines()
     table = np.array([[1e-3, 2e-4, 1e-6, -2e-6, 1e-6], [3e-4, -1e-3, 2e-6, 1e-6, -1e-6]])
     for number, values in enumerate(table, 7):
         lines[number] = " ".join(map(str, values)) + " "
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (camera,) = read_quietly(tmp_path / "out", "myptv")
+    (camera,) = read_cameras(tmp_path / "out", "myptv")
     assert isinstance(camera, CentralCamera)
     column, row = 31.0, 205.5
     terms = np.array([column, row, column**2, row**2, column * row])
@@ -357,7 +330,7 @@ def test_myptvs_correction_bends_lines_of_sight(tmp_path: Path) -> None:
     (tmp_path / "old").mkdir()  # files of the first versions have no model and no size
     older = "\n".join([lines[1], *lines[3:]]) + "\n"
     (tmp_path / "old" / "cam1").write_text(older, encoding="utf-8")
-    (same,) = read_quietly(tmp_path / "old", "myptv", size=SIZE)
+    (same,) = read_cameras(tmp_path / "old", "myptv", size=SIZE)
     np.testing.assert_allclose(same.project(POINTS)[0], camera.project(POINTS)[0], atol=1e-9)
 
 
@@ -366,11 +339,11 @@ def test_a_zolof_camera_needs_its_volume(tmp_path: Path) -> None:
     lines = [f"A {i} {j} \t {table[i, j]} " for i in range(19) for j in range(2)]
     text = "\n".join(["extendedZolof model camera", "cam3", "O 0 \t 1.0 ", *lines])
     (tmp_path / "cam3").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match="cam3: it has no size of the images"):
-        read_quietly(tmp_path, "myptv")
-    with pytest.raises(InputError, match="needs the measured volume"):
-        read_quietly(tmp_path, "myptv", size=SIZE)
-    (camera,) = read_quietly(tmp_path, "myptv", size=SIZE, grid=GRID)
+    with refused("cam3"):
+        read_cameras(tmp_path, "myptv")
+    with refused():
+        read_cameras(tmp_path, "myptv", size=SIZE)
+    (camera,) = read_cameras(tmp_path, "myptv", size=SIZE, grid=GRID)
     x, y, z = POINTS.T
     terms = [1 + 0 * x, x, y, z, x**2, y**2, z**2, x * y, y * z, z * x, x * y * z]
     terms += [x * y**2, x * z**2, y * x**2, y * z**2, z * x**2, z * y**2, x**3, y**3]
@@ -397,54 +370,48 @@ def test_matlabs_structures_are_read(old: bool, tmp_path: Path) -> None:
             **(place if old else {"R": rotation, "t": move[:, None]}),
         }
     savemat(tmp_path / "cameras.mat", content)
-    found = read_quietly(tmp_path / "cameras.mat", "matlab")
+    found = read_cameras(tmp_path / "cameras.mat", "matlab")
     assert [camera.name for camera in found] == [camera.name for camera in true]
     assert difference_px(found, true, ForeignWorld()) < NEAR_PX
     savemat(tmp_path / "other.mat", {"x": 1.0})
-    with pytest.raises(InputError, match="expected structures with K or IntrinsicMatrix"):
-        read_quietly(tmp_path / "other.mat", "matlab")
+    with refused():
+        read_cameras(tmp_path / "other.mat", "matlab")
 
 
 def test_polynomials_replace_cameras_behind_a_wall(tmp_path: Path) -> None:
     with pytest.warns(ForeignFormatWarning) as said:
         write_cameras(tmp_path / "out", CAMERAS, "myptv", grid=GRID)
-    assert "polynomials replace camera_00, camera_01, camera_02, camera_03 in the volume" in str(
-        said[0].message
-    )
-    found = read_quietly(tmp_path / "out", "myptv", size=SIZE, grid=GRID)
+    check_sentence(str(said[0].message), *(camera.name for camera in CAMERAS))
+    found = read_cameras(tmp_path / "out", "myptv", size=SIZE, grid=GRID)
     assert difference_px(found, CAMERAS, ForeignWorld()) < 1e-3
 
 
 CLOSE_PX = 1e-3
-OPTICS = [(Distortion(), UPRIGHT), (LENS, UPRIGHT), (Distortion(), TILT)]
-OPTICS_IDS = ["ideal", "distorted", "tilted sensor"]
+# Every wall with an ideal lens, and a distorted one and a tilted sensor behind three of them
+OPTICS = [(kind, Distortion(), UPRIGHT) for kind in ("glass", "none", "bare", "tilted")]
+OPTICS += [(kind, LENS, UPRIGHT) for kind in ("glass", "none", "tilted")]
+OPTICS += [(kind, Distortion(), TILT) for kind in ("glass", "none", "tilted")]
 
 
-@pytest.mark.parametrize(("lens", "tilt"), OPTICS, ids=OPTICS_IDS)
-@pytest.mark.parametrize("kind", ["glass", "none", "bare", "two layers", "tilted"])
+@pytest.mark.parametrize(
+    ("kind", "lens", "tilt"),
+    [*OPTICS, ("two layers", LENS, UPRIGHT), ("two layers", Distortion(), TILT)],
+)
 def test_openlpt_agrees(
     kind: str, lens: Distortion, tilt: tuple[float, float], tmp_path: Path
 ) -> None:
     lpt = pytest.importorskip("pyopenlpt")
-    cameras, _, points = rig("particle-tracking")
-    for camera in cameras:
-        own = dataclasses.replace(
-            camera,
-            wall=walls(camera.wall)[kind],
-            distortion=lens,
-            principal_point_px=(121.3, 117.8),
-            tilt_deg=tilt,
-        )
+    for camera in CAMERAS:
+        wall = walls(camera.wall)[kind]
+        own = dataclasses.replace(camera, wall=wall, distortion=lens, tilt_deg=tilt, **ASIDE)
         (tmp_path / "cam.txt").write_text(openlpt.camera_text(own), encoding="utf-8")
-        seen = lpt.loadCameraModel(str(tmp_path / "cam.txt")).projectBatchStatus(
-            [lpt.Pt3D(*point) for point in points]
-        )
+        model = lpt.loadCameraModel(str(tmp_path / "cam.txt"))
+        seen = model.projectBatchStatus([lpt.Pt3D(*point) for point in POINTS])
         pixels = np.array([np.ravel(pixel.to_list()) for _, pixel, _ in seen])
-        assert np.abs(pixels - own.project(points)[0]).max() < CLOSE_PX
+        assert np.abs(pixels - own.project(POINTS)[0]).max() < CLOSE_PX
 
 
-@pytest.mark.parametrize(("lens", "tilt"), OPTICS, ids=OPTICS_IDS)
-@pytest.mark.parametrize("kind", ["glass", "none", "bare", "tilted"])
+@pytest.mark.parametrize(("kind", "lens", "tilt"), OPTICS)
 def test_openptv_agrees(
     kind: str, lens: Distortion, tilt: tuple[float, float], tmp_path: Path
 ) -> None:
@@ -452,54 +419,36 @@ def test_openptv_agrees(
     from optv.imgcoord import image_coordinates
     from optv.transforms import convert_arr_metric_to_pixel
 
-    cameras, grid, points = rig("particle-tracking")
     off = (119.5, 119.5) if lens == LENS else (121.3, 117.8)
-    own = tuple(
-        dataclasses.replace(
-            one, wall=walls(one.wall)[kind], distortion=lens, principal_point_px=off, tilt_deg=tilt
-        )
-        for one in cameras
-    )
-    openptv.write_project(tmp_path, own, grid, 1, openptv.Settings(10, 5, 1.0, 0.5, 0.2, 100.0))
-    theirs, control, _ = parameters(
-        tmp_path, json.loads((tmp_path / "project.json").read_text(encoding="utf-8"))
-    )
+    wall = walls(CAMERAS[0].wall)[kind]
+    own = tuple(changed(wall=wall, distortion=lens, principal_point_px=off, tilt_deg=tilt))
+    openptv.write_project(tmp_path, own, GRID, 1, openptv.Settings(10, 5, 1.0, 0.5, 0.2, 100.0))
+    project = json.loads((tmp_path / "project.json").read_text(encoding="utf-8"))
+    theirs, control, _ = parameters(tmp_path, project)
+    there = np.ascontiguousarray(openptv.world_of(GRID).into(POINTS))
     for camera, other in zip(own, theirs, strict=True):
-        there = np.ascontiguousarray(openptv.world_of(grid).into(points))
-        pixels = (
-            convert_arr_metric_to_pixel(
-                image_coordinates(there, other, control.get_multimedia_params()), control
-            )
-            - 0.5
-        )
-        assert np.abs(pixels - camera.project(points)[0]).max() < CLOSE_PX
+        metric = image_coordinates(there, other, control.get_multimedia_params())
+        pixels = convert_arr_metric_to_pixel(metric, control) - 0.5
+        assert np.abs(pixels - camera.project(POINTS)[0]).max() < CLOSE_PX
 
 
 def test_what_a_format_cannot_say_is_said() -> None:
-    cameras, grid, _ = rig("particle-tracking")
-    two = dataclasses.replace(cameras[0], wall=walls(cameras[0].wall)["two layers"])
-    assert openptv.unfit(two) == "OpenPTV supports one layer of glass, and this wall has 2"
-    beside = dataclasses.replace(cameras[0], distortion=LENS, principal_point_px=(121.3, 117.8))
-    assert "about the centre of the image" in str(openptv.unfit(beside))
-    with pytest.raises(ValueError, match="camera_00: OpenPTV supports one layer of glass"):
-        openptv.orientation_text(two, openptv.world_of(grid))
-    barrel = dataclasses.replace(cameras[0], distortion=Distortion(k1=-0.1))
-    assert "without a positive coefficient" in str(openlpt.unfit(barrel))
-    leaning = dataclasses.replace(cameras[0], distortion=LENS, tilt_deg=TILT)
-    for program, name in ((openlpt, "OpenLPT"), (openptv, "OpenPTV")):
-        expected = f"{name} has no tilted sensor behind a lens with distortion"
-        assert program.unfit(leaning) == expected
-    with pytest.raises(ValueError, match="camera_00: OpenLPT has no tilted sensor"):
+    one = CAMERAS[0]
+    two = dataclasses.replace(one, wall=walls(one.wall)["two layers"])
+    leaning = dataclasses.replace(one, distortion=LENS, tilt_deg=TILT)
+    finer = dataclasses.replace(CAMERAS[1], pixel_mm=one.pixel_mm / 2.0)
+    assert openptv.unlike(CAMERAS[:2]) is None
+    for sentence, key in (
+        (openptv.unfit(two), "OpenPTV"),
+        (openptv.unfit(leaning), "OpenPTV"),
+        (openlpt.unfit(leaning), "OpenLPT"),
+        (openptv.unlike([one, finer]), "camera_01"),
+    ):
+        check_sentence(str(sentence), key)
+    with refused("camera_00", kind=ValueError):
+        openptv.orientation_text(two, openptv.world_of(GRID))
+    with refused("camera_00", kind=ValueError):
         openlpt.camera_text(leaning)
-    finer = dataclasses.replace(cameras[1], pixel_mm=cameras[0].pixel_mm / 2.0)
-    assert openptv.unlike(cameras[:2]) is None
-    assert "one pixel pitch, and camera_01 has" in str(openptv.unlike([cameras[0], finer]))
-
-
-def test_points_come_back_from_openptvs_world() -> None:
-    _, grid, points = rig("particle-tracking")
-    world = openptv.world_of(grid)
-    np.testing.assert_allclose(world.back(world.into(points)), points, atol=1e-12)
 
 
 def test_links_make_tracks() -> None:
@@ -519,34 +468,22 @@ def test_openlpts_tracks_are_read(tmp_path: Path) -> None:
     (folder / "ExitTrack_2.csv").write_text(head + "0,0,4.0,5.0,6.0,9,9\n", encoding="utf-8")
     first, second, third = openlpt.read_result(tmp_path, 3)
     np.testing.assert_array_equal(first.position_mm, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    assert first.trajectory is not None
-    assert second.trajectory is not None
-    assert (first.trajectory.tolist(), second.trajectory.tolist(), len(third.position_mm)) == (
-        [0, 2],
-        [0, 1],
-        0,
-    )
+    for found, expected in ((first, [0, 2]), (second, [0, 1])):
+        np.testing.assert_array_equal(np.asarray(found.trajectory), expected)
+    assert len(third.position_mm) == 0
 
 
-CRASHES = [
-    ("import os; os.abort()", "signal SIGABRT"),
-    ("raise SystemExit('no licence')", "exit code 1; its last words: no licence"),
-]
-
-
-@pytest.mark.parametrize(("code", "said"), CRASHES)
-def test_crashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, said: str) -> None:
+@pytest.mark.parametrize(
+    ("code", "key"),
+    [("import os; os.abort()", "SIGABRT"), ("raise SystemExit('no licence')", "no licence")],
+)
+def test_crashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, key: str) -> None:
     (tmp_path / "crashes.py").write_text(code, encoding="utf-8")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    with pytest.raises(
-        InputError, match=f"the program: expected exit code 0, but it ended with {said}"
-    ):
+    with refused(key):
         python.run_module("crashes", tmp_path, "the program", "x", 1)
 
 
 def test_a_missing_package_is_one_sentence() -> None:
     assert python.missing("sys", "python") is None
-    assert (
-        python.missing("no_such_module", "nothing")
-        == "the package nothing is not installed: pip install sabench[competitors]"
-    )
+    check_sentence(str(python.missing("no_such_module", "nothing")), "nothing")

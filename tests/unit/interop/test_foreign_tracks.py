@@ -2,8 +2,9 @@
 
 import dataclasses
 import json
-import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -18,9 +19,10 @@ from sabench.interop.foreign import (
     read_world,
 )
 from sabench.interop.tracks import TrackFormat, read_tracks, write_tracks
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import check_sentence, refused
 from tests.unit.interop.test_cameras import rig
 
+pytestmark = pytest.mark.filterwarnings("ignore::sabench.interop.foreign.ForeignFormatWarning")
 CAMERAS, GRID, _ = rig("particle-tracking")
 TIMES = (0.0, 0.25, 0.5)
 RECORDING = Recording(CAMERAS, TIMES)
@@ -30,31 +32,21 @@ FORMATS: tuple[TrackFormat, ...] = (
 
 
 def particles() -> TrackTable:
-    generator = np.random.default_rng(4)
+    rng = np.random.default_rng(4)
     frame, trajectory = np.repeat([0, 1], [4, 3]), np.array([3, 1, 7, 5, 7, 2**40, 3])
-    low = np.asarray(GRID.low_mm)
     size = np.asarray(GRID.voxel_mm) * (np.asarray(GRID.shape[::-1]) - 1)
-    return TrackTable(
-        frame,
-        low + size * generator.random((7, 3)),
-        trajectory,
-        generator.random(7),
-        generator.normal(size=(7, 3)),
-        generator.normal(size=(7, 3)),
-    )
+    place, value = np.asarray(GRID.low_mm) + size * rng.random((7, 3)), rng.random(7)
+    velocity, acceleration = rng.normal(size=(2, 7, 3))
+    return TrackTable(frame, place, trajectory, value, velocity, acceleration)
 
 
-def read_quietly(path: Path, form: TrackFormat, unit: str | None = None) -> TrackTable:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ForeignFormatWarning)
-        return read_tracks(path, form, unit=unit, interval_s=RECORDING.interval_s)
+def read(path: Path, form: TrackFormat, unit: str | None = None) -> TrackTable:
+    return read_tracks(path, form, unit=unit, interval_s=RECORDING.interval_s)
 
 
-def write_quietly(folder: Path, table: TrackTable, form: TrackFormat) -> None:
+def write(folder: Path, table: TrackTable, form: TrackFormat) -> None:
     folder.mkdir()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ForeignFormatWarning)
-        write_tracks(folder, table, form, RECORDING)
+    write_tracks(folder, table, form, RECORDING)
 
 
 def links(table: TrackTable) -> set[frozenset[int]]:
@@ -66,35 +58,29 @@ def links(table: TrackTable) -> set[frozenset[int]]:
 @pytest.mark.parametrize("form", FORMATS)
 def test_particles_come_back(form: TrackFormat, tmp_path: Path) -> None:
     true = particles()
-    write_quietly(tmp_path / "out", true, form)
-    found = read_quietly(tmp_path / "out", form)
+    write(tmp_path / "out", true, form)
+    found = read(tmp_path / "out", form)
     frame = found.frame - found.frame[0]
     np.testing.assert_array_equal(frame, true.frame)
     np.testing.assert_array_equal(found.position_mm, true.position_mm)
     assert links(found) == links(true)
-
-
-@pytest.mark.parametrize("form", ["myptv", "netcdf", "mat", "csv"])
-def test_velocities_come_back(form: TrackFormat, tmp_path: Path) -> None:
-    true = particles()
-    write_quietly(tmp_path / "out", true, form)
-    found = read_quietly(tmp_path / "out", form)
-    for name in ("velocity_mm_s", "acceleration_mm_s2"):
-        np.testing.assert_allclose(getattr(found, name), getattr(true, name), rtol=1e-14)
+    if form in ("myptv", "netcdf", "mat", "csv"):  # these hold velocities
+        for name in ("velocity_mm_s", "acceleration_mm_s2"):
+            np.testing.assert_allclose(getattr(found, name), getattr(true, name), rtol=1e-14)
 
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_losses_are_said(form: TrackFormat, tmp_path: Path) -> None:
     with pytest.warns(ForeignFormatWarning) as said:
         write_tracks(tmp_path, particles(), form, RECORDING)
-    assert str(said[0].message).startswith(f"{form}: its files of particles do not carry")
+    check_sentence(str(said[0].message), form)
 
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_particles_without_trajectories(form: TrackFormat, tmp_path: Path) -> None:
     lone = TrackTable(particles().frame, particles().position_mm)
-    write_quietly(tmp_path / "out", lone, form)
-    found = read_quietly(tmp_path / "out", form)
+    write(tmp_path / "out", lone, form)
+    found = read(tmp_path / "out", form)
     np.testing.assert_array_equal(found.position_mm, lone.position_mm)
     if found.trajectory is not None:  # formats that have nothing but tracks
         assert len(np.unique(found.trajectory)) == len(lone)
@@ -102,7 +88,7 @@ def test_particles_without_trajectories(form: TrackFormat, tmp_path: Path) -> No
 
 def test_targets_are_projections(tmp_path: Path) -> None:
     true = particles().of_frame(0)
-    write_quietly(tmp_path / "out", true, "openptv")
+    write(tmp_path / "out", true, "openptv")
     text = (tmp_path / "out/img/cam2.10001_targets").read_text(encoding="utf-8")
     rows = np.array([line.split() for line in text.splitlines()[1:]], dtype=float)
     assert (np.diff(rows[:, 2]) >= 0.0).all()
@@ -122,23 +108,24 @@ def test_another_world_and_back(tmp_path: Path) -> None:
     assert found.velocity_mm_s is not None
     np.testing.assert_allclose(found.velocity_mm_s, np.asarray(true.velocity_mm_s), atol=1e-13)
     (tmp_path / "sabench-world.json").write_text(json.dumps({"origin_mm": [1]}), encoding="utf-8")
-    with pytest.raises(InputError, match="expected origin_mm and orthonormal axes"):
+    with refused():
         read_world(tmp_path)
 
 
 HEAD = "frame,particle,x,y,z\n"
+ROWS = "0,1,1.5,2,3\n1,1,1.6,2,3\n"
+LATIN = "frame;particle;x [µm];y [µm];z [µm];größe\n0;1;1500;2000;3000;7\n1;1;1600;2000;3000;7\n"
+METRES = b"Frame\tParticle\tX (m)\tY (m)\tZ (m)\n"
+TRACKMATE = b"LABEL;FRAME;TRACK_ID;X;Y;Z\nLabel;Frame;Track ID;X;Y;Z\n;(frame);;(mm);(mm);(mm)\n"
 STRANGE = {
-    "windows": (HEAD + "0,1,1.5,2,3\n1,1,1.6,2,3\n").replace("\n", "\r\n").encode(),
-    "mark": b"\xef\xbb\xbf" + (HEAD + "0,1,1.5,2,3\n1,1,1.6,2,3\n").encode(),
-    "latin": "frame;particle;x [µm];y [µm];z [µm];größe\n0;1;1500;2000;3000;7\n"
-    "1;1;1600;2000;3000;7\n".encode("latin-1"),
+    "windows": (HEAD + ROWS).replace("\n", "\r\n").encode(),
+    "mark": (HEAD + ROWS).encode("utf-8-sig"),
+    "latin": LATIN.encode("latin-1"),
     "comma": b"frame;particle;x;y;z\n0;1;1,5;2,0;3,0\n1;1;1,6;2,0;3,0\n",
-    "utf-16": (HEAD + "0,1,1.5,2,3\n1,1,1.6,2,3\n").encode("utf-16"),
-    "metres": b"Frame\tParticle\tX (m)\tY (m)\tZ (m)\n0\t1\t.0015\t.002\t.003\n"
-    b"1\t1\t.0016\t.002\t.003\n",
+    "utf-16": (HEAD + ROWS).encode("utf-16"),
+    "metres": METRES + b"0\t1\t.0015\t.002\t.003\n1\t1\t.0016\t.002\t.003\n",
     "comment": b"# made by hand\n# frame particle x y z\n0 1 1.5 2 3\n1 1 1.6 2 3\n",
-    "text": b"LABEL;FRAME;TRACK_ID;X;Y;Z\nLabel;Frame;Track ID;X;Y;Z\n;(frame);;(mm);(mm);(mm)\n"
-    b"spot a;0;1;1.5;2;3\nspot b;1;1;1.6;2;3\n",
+    "text": TRACKMATE + b"spot a;0;1;1.5;2;3\nspot b;1;1;1.6;2;3\n",
     "order": b"z,particle,frame,x,extra,y\n3,1,1,1.6,9,2\n3,1,0,1.5,9,2\n",
 }
 
@@ -146,7 +133,7 @@ STRANGE = {
 @pytest.mark.parametrize("kind", STRANGE)
 def test_strange_tables_are_read(kind: str, tmp_path: Path) -> None:
     (tmp_path / "found.csv").write_bytes(STRANGE[kind])
-    found = read_quietly(tmp_path / "found.csv", "csv")
+    found = read(tmp_path / "found.csv", "csv")
     assert found.frame.tolist() == [0, 1]
     assert found.trajectory is not None
     assert found.trajectory.tolist() == [1, 1]
@@ -155,66 +142,67 @@ def test_strange_tables_are_read(kind: str, tmp_path: Path) -> None:
 
 def test_columns_that_are_left_out_are_said(tmp_path: Path) -> None:
     (tmp_path / "found.csv").write_bytes(STRANGE["order"])
-    with pytest.warns(ForeignFormatWarning, match="left out the columns extra"):
+    with pytest.warns(ForeignFormatWarning) as said:
         read_tracks(tmp_path / "found.csv", "csv")
+    check_sentence(" ".join(str(one.message) for one in said), "extra")
 
 
 BROKEN = [
-    ("csv", "0,1,2,3,4\n", "expected a first line with the names of its columns"),
-    ("csv", HEAD + "0,1,2,3\n", "line 2: expected 4 or more columns|expected"),
-    ("csv", HEAD + "0,1,2,3,4\n0,1,2,3\n", r"line 3: expected 5 columns, got 4: '0,1,2,3'"),
-    ("csv", HEAD + "0,1,2,x,4\n0,1,2,3,4\n", "line 2, column 4: expected a finite number, got 'x'"),
-    ("csv", HEAD + "0,1,2,nan,4\n", "line 2, column 4: expected a finite number, got 'nan'"),
-    ("csv", HEAD + "0,1.5,2,3,4\n", "particle: expected whole numbers, got 1.5 in row 1"),
-    ("csv", "frame,a,b,c\n0,1,2,3\n", "expected columns x, y and z, found frame, a, b, c"),
-    ("csv", "x,y,z,w\n0,1,2,3\n", "expected a column frame or time, found x, y, z, w"),
-    ("csv", HEAD.replace("x", "x [parsec]") + "0,1,2,3,4\n", "expected a unit like"),
-    ("myptv", "1 2 3\n", "line 1: expected 5 or more columns, got 3"),
-    ("myptv", "1 2.5 3.5 4.5 0.5\n", "last column: expected numbers of a frame, got 0.5"),
-    ("openlpt", "A,B,C,D,E\n1,2,3,4,5\n", "expected a column TrackID, got A, B, C, D, E"),
-    ("lpt-challenge", "1 2 3 4\n1 2 3\n", "line 2: expected 4 columns, got 3: '1 2 3'"),
-    ("lpt-challenge", "1 2 three\n", "line 1, column 3: expected a finite number, got 'three'"),
-    ("netcdf", "CDF nothing", "expected an intact NetCDF file"),
-    ("netcdf", "nothing", "expected an intact HDF5 file"),
-    ("mat", "nothing", "expected an intact MATLAB file"),
+    ("csv", "0,1,2,3,4\n", ""),
+    ("csv", HEAD + "0,1,2,3\n", ""),
+    ("csv", HEAD + "0,1,2,3,4\n0,1,2,3\n", "line 3"),
+    ("csv", HEAD + "0,1,2,x,4\n0,1,2,3,4\n", "line 2, column 4"),
+    ("csv", HEAD + "0,1,2,nan,4\n", "line 2, column 4"),
+    ("csv", HEAD + "0,1.5,2,3,4\n", "particle"),
+    ("csv", "frame,a,b,c\n0,1,2,3\n", "frame, a, b, c"),
+    ("csv", "x,y,z,w\n0,1,2,3\n", "x, y, z, w"),
+    ("csv", HEAD.replace("x", "x [parsec]") + "0,1,2,3,4\n", "parsec"),
+    ("myptv", "1 2 3\n", "line 1"),
+    ("myptv", "1 2.5 3.5 4.5 0.5\n", "last column"),
+    ("openlpt", "A,B,C,D,E\n1,2,3,4,5\n", "TrackID"),
+    ("lpt-challenge", "1 2 3 4\n1 2 3\n", "line 2"),
+    ("lpt-challenge", "1 2 three\n", "line 1, column 3"),
+    ("netcdf", "CDF nothing", "NetCDF"),
+    ("netcdf", "nothing", "HDF5"),
+    ("mat", "nothing", "MATLAB"),
 ]
 
 
-@pytest.mark.parametrize(("form", "text", "sentence"), BROKEN)
-def test_broken_files(form: TrackFormat, text: str, sentence: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("form", "text", "key"), BROKEN)
+def test_broken_files(form: TrackFormat, text: str, key: str, tmp_path: Path) -> None:
     (tmp_path / "found").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=sentence) as error:
-        read_quietly(tmp_path / "found", form)
+    with refused("found", key) as error:
+        read(tmp_path / "found", form)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_nothing_there_is_one_sentence(form: TrackFormat, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="found none"):
-        read_quietly(tmp_path, form)
-    with pytest.raises(InputError, match="expected a file or folder with particles, found none"):
-        read_quietly(tmp_path / "nowhere", form)
+    (tmp_path / "empty").mkdir()
+    for name in ("empty", "nowhere"):
+        with refused(name):
+            read(tmp_path / name, form)
 
 
 def test_openptvs_counts_are_checked(tmp_path: Path) -> None:
-    write_quietly(tmp_path / "out", particles(), "openptv")
+    write(tmp_path / "out", particles(), "openptv")
     file = tmp_path / "out/res/ptv_is.10002"
     lines = file.read_text(encoding="utf-8").splitlines()
     file.write_text("\n".join(lines[:-1]), encoding="utf-8")
-    with pytest.raises(InputError, match=r"ptv_is\.10002: line 1: expected 2, the number of lines"):
-        read_quietly(tmp_path / "out", "openptv")
+    with refused("ptv_is.10002: line 1"):
+        read(tmp_path / "out", "openptv")
     file.write_text("\n".join([lines[0], *(line + " 9 9" for line in lines[1:])]), encoding="utf-8")
-    assert len(read_quietly(tmp_path / "out", "openptv")) == len(particles())
+    assert len(read(tmp_path / "out", "openptv")) == len(particles())
 
 
 def test_units_scale_positions(tmp_path: Path) -> None:
     for form in FORMATS:
-        write_quietly(tmp_path / form, particles(), form)
+        write(tmp_path / form, particles(), form)
         if form not in ("netcdf", "mat", "csv"):  # these name their unit
-            found = read_quietly(tmp_path / form, form, "um")
+            found = read(tmp_path / form, form, "um")
             np.testing.assert_allclose(1e3 * found.position_mm, particles().position_mm)
-    with pytest.raises(InputError, match="unit: expected one of m, dm, cm, mm, um, in, got 'ell'"):
-        read_quietly(tmp_path / "openptv", "openptv", "ell")
+    with refused("unit"):
+        read(tmp_path / "openptv", "openptv", "ell")
 
 
 def test_padded_arrays_of_trajectories_are_read(tmp_path: Path) -> None:
@@ -222,15 +210,11 @@ def test_padded_arrays_of_trajectories_are_read(tmp_path: Path) -> None:
     with netcdf_file(tmp_path / "tracks.nc", "w") as file:
         file.createDimension("trajectory", 2)
         file.createDimension("obs", 3)
-        values = {
-            "frame": [[0.0, 1.0, 2.0], [1.0, 2.0, gap]],
-            "x": [[1.0, 2.0, 3.0], [7.0, 8.0, gap]],
-            "y": [[0.0, 0.0, 0.0], [1.0, 1.0, gap]],
-            "z": [[5.0, 5.0, 5.0], [6.0, 6.0, gap]],
-        }
-        for name, table in values.items():
+        frames, x = [[0.0, 1.0, 2.0], [1.0, 2.0, gap]], [[1.0, 2.0, 3.0], [7.0, 8.0, gap]]
+        y, z = [[0.0] * 3, [1.0, 1.0, gap]], [[5.0] * 3, [6.0, 6.0, gap]]
+        for name, table in {"frame": frames, "x": x, "y": y, "z": z}.items():
             file.createVariable(name, "f8", ("trajectory", "obs"))[:] = np.array(table)
-    found = read_quietly(tmp_path / "tracks.nc", "netcdf")
+    found = read(tmp_path / "tracks.nc", "netcdf")
     assert found.frame.tolist() == [0, 1, 1, 2, 2]
     assert found.position_mm[:, 0].tolist() == [1.0, 2.0, 7.0, 3.0, 8.0]
     assert links(found) == {frozenset({0, 1, 3}), frozenset({2, 4})}
@@ -240,7 +224,7 @@ def test_older_matlab_files_are_read(tmp_path: Path) -> None:
     true = particles()
     columns = dict(zip("xyz", true.position_mm.T[:, :, None], strict=True))
     savemat(tmp_path / "old.mat", {"frame": true.frame[:, None], "note": "hello", **columns})
-    found = read_quietly(tmp_path / "old.mat", "mat")
+    found = read(tmp_path / "old.mat", "mat")
     np.testing.assert_array_equal(found.position_mm, true.position_mm)
 
 
@@ -248,7 +232,7 @@ def test_myptvs_hdf5_is_read(tmp_path: Path) -> None:
     rows = np.array([[4.0, 1.5, 2.5, 3.5, 0.0, 1.0, 0.1, 0.0], [-1.0, 2.5, 3.5, 4.5, 0, 1, 0.2, 1]])
     with h5py.File(tmp_path / "trajectories.hdf5", "w") as file:
         file["dataset"] = rows.astype(np.float32)
-    found = read_quietly(tmp_path, "myptv")
+    found = read(tmp_path, "myptv")
     assert found.trajectory is not None
     assert found.trajectory.tolist() == [4, 5]
     np.testing.assert_array_equal(found.position_mm, rows[:, 1:4])
@@ -259,14 +243,14 @@ def test_five_cameras_blobs_are_no_velocities(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with pytest.warns(ForeignFormatWarning):
         write_tracks(tmp_path / "out", true, "myptv", Recording([*CAMERAS, CAMERAS[0]], TIMES))
-    found = read_quietly(tmp_path / "out", "myptv")
+    found = read(tmp_path / "out", "myptv")
     assert found.velocity_mm_s is None
     np.testing.assert_array_equal(found.position_mm, true.position_mm)
 
 
 def test_netcdf4_reads_our_tracks(tmp_path: Path) -> None:
     netcdf = pytest.importorskip("netCDF4", reason="needs the package netCDF4")
-    write_quietly(tmp_path / "out", particles(), "netcdf")
+    write(tmp_path / "out", particles(), "netcdf")
     with netcdf.Dataset(tmp_path / "out/tracks.nc") as file:
         assert file["x_mm"].units == "mm"
         np.testing.assert_array_equal(file["x_mm"][:], particles().position_mm[:, 0])
@@ -275,31 +259,34 @@ def test_netcdf4_reads_our_tracks(tmp_path: Path) -> None:
         for name, values in {"frame": [0, 1], "x": [1.0, 2.0], "y": [3, 4], "z": [5, 6]}.items():
             file.createVariable(name, "f8", ("obs",))[:] = np.array(values, dtype=float)
         file["x"].units = "m"
-    found = read_quietly(tmp_path / "four.nc", "netcdf")
+    found = read(tmp_path / "four.nc", "netcdf")
     assert found.position_mm[:, 0].tolist() == [1000.0, 2000.0]
 
 
-def test_xarray_reads_our_tracks(tmp_path: Path) -> None:
-    xarray = pytest.importorskip("xarray", reason="needs the package xarray")
-    write_quietly(tmp_path / "out", particles(), "netcdf")
-    with xarray.open_dataset(tmp_path / "out/tracks.nc", decode_times=False) as data:
-        np.testing.assert_array_equal(data["z_mm"].values, particles().position_mm[:, 2])
+@pytest.mark.parametrize(
+    ("package", "form", "load"),
+    [
+        ("xarray", "netcdf", lambda xarray, path: xarray.load_dataset(path, decode_times=False)),
+        ("mat73", "mat", lambda mat73, path: mat73.loadmat(path)),
+    ],
+)
+def test_other_packages_read_our_tracks(
+    package: str, form: TrackFormat, load: Callable[..., Any], tmp_path: Path
+) -> None:
+    reader = pytest.importorskip(package, reason=f"needs the package {package}")
+    write(tmp_path / "out", particles(), form)
+    (file,) = (tmp_path / "out").glob("tracks.*")
+    found = load(reader, file)
+    np.testing.assert_array_equal(np.asarray(found["y_mm"]), particles().position_mm[:, 1])
 
 
 def test_flowtracks_reads_our_links(tmp_path: Path) -> None:
     flowtracks = pytest.importorskip("flowtracks.io", reason="needs the package flowtracks")
     true = dataclasses.replace(particles(), frame=np.repeat([0, 1], [4, 3]))
-    write_quietly(tmp_path / "out", true, "openptv")
+    write(tmp_path / "out", true, "openptv")
     (tmp_path / "out/res/ptv_is.10003").unlink()  # it takes no empty frame
     tracks = flowtracks.trajectories(str(tmp_path / "out/res/ptv_is.%d"), fmt="ptvis")
     long = [one for one in tracks if len(one) > 1]
     ends = {tuple(np.round(1e3 * one.pos()[:, 0], 9).tolist()) for one in long}
     x = np.round(true.position_mm[:, 0], 9)
     assert ends == {(x[0], x[6]), (x[2], x[4])}
-
-
-def test_mat73_reads_our_tracks(tmp_path: Path) -> None:
-    mat73 = pytest.importorskip("mat73", reason="needs the package mat73")
-    write_quietly(tmp_path / "out", particles(), "mat")
-    found = mat73.loadmat(tmp_path / "out/tracks.mat")
-    np.testing.assert_array_equal(found["y_mm"], particles().position_mm[:, 1])

@@ -20,9 +20,9 @@ from sabench.dataset.reader import Dataset
 from sabench.interop import vtkhdf
 from sabench.interop.export import NAME, run_lengths, write_state
 from sabench.interop.napari_reader import get_reader, read_layers
-from sabench.utils.errors import InputError
 from tests.conftest import ROOT
 from tests.helpers.bubble_scenes import small
+from tests.helpers.refusals import refused
 from tests.unit.simulation.test_streaming import make_scene
 
 
@@ -67,10 +67,8 @@ def test_every_visible_bubble_has_its_mask_and_box(data: Dataset, coco: Path) ->
             left, top, width, height = one["bbox"]
             inside = mask[top : top + height, left : left + width]
             assert inside.sum() == mask.sum() == one["area"] > 0
-            assert inside[0].any()
-            assert inside[-1].any()
-            assert inside[:, 0].any()
-            assert inside[:, -1].any()
+            for side in (inside[0], inside[-1], inside[:, 0], inside[:, -1]):
+                assert side.any()
         found += len(own)
         assert len(own) == len(set(sight.number[sight.number >= 0].tolist()))
     assert found > 50
@@ -112,7 +110,7 @@ def test_pycocotools_reads_it(data: Dataset, coco: Path) -> None:
 
 def test_particles_alone_are_refused(data: Dataset, tmp_path: Path) -> None:
     plain = sabench.generate(make_scene(), tmp_path / "plain", backend="splat")
-    with pytest.raises(InputError, match="expected a data set with bubbles for coco"):
+    with refused():
         sabench.export(plain, tmp_path / "out", to="coco")
     assert not (tmp_path / "out").exists()
 
@@ -156,21 +154,14 @@ def _value(tree: ast.Module, name: str) -> ast.expr:
     return found
 
 
-def test_a_state_is_python_and_knows_where_its_files_are(tmp_path: Path) -> None:
-    """Quotes in the folder's name do no harm."""
+def test_a_state_is_python_that_finds_its_files_and_draws_every_kind(tmp_path: Path) -> None:
+    """Quotes in the folder's name do no harm. A kind without a drawing would stop the state."""
     home = Path('/some where\'s "data"')
     write_state(tmp_path, home)
     tree = ast.parse((tmp_path / NAME).read_text(encoding="utf-8"))
-    folder = _value(tree, "FOLDER")
+    folder, drawn = _value(tree, "FOLDER"), _value(tree, "DRAW")
     assert isinstance(folder, ast.Call)
     assert ast.literal_eval(folder.args[0]) == str(home)
-
-
-def test_a_state_draws_every_kind_that_is_written(tmp_path: Path) -> None:
-    """A kind without a drawing would stop the state."""
-    write_state(tmp_path, tmp_path)
-    tree = ast.parse((tmp_path / NAME).read_text(encoding="utf-8"))
-    drawn = _value(tree, "DRAW")
     assert isinstance(drawn, ast.Dict)
     written = set(re.findall(r'"(\w+)_\{frame:04d\}\.vtkhdf"', inspect.getsource(vtkhdf)))
     assert len(written) >= 7

