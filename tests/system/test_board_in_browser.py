@@ -26,11 +26,7 @@ DRAWN = (
 LOG = "#view=table"
 EVIL = '"><img src=x onerror="document.title=1">'
 # over seeds 1 to 3 of the standard case
-Q = {
-    "a": (0.50, 0.55, 0.52),
-    "b": (0.40, 0.43, 0.42),
-    "c": (0.51, 0.53, 0.55),
-}
+Q = {"a": (0.50, 0.55, 0.52), "b": (0.40, 0.43, 0.42), "c": (0.51, 0.53, 0.55)}
 
 
 def heading(text: str) -> str:

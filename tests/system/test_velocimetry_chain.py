@@ -125,10 +125,7 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     assert block(page)["rows"][0]["scores"][0] == [pytest.approx(record["rms_voxel"], rel=1e-8)]
     assert block(page)["tasks"]["velocimetry"]["pictured"]["heading"] == "Fields"
     # particles are no truth to show beside fields
-    assert set(block(page, "album0")) == {
-        "images",
-        "row0",
-    }
+    assert set(block(page, "album0")) == {"images", "row0"}
     data = open_dataset(next((tmp_path / "work" / "datasets").iterdir()))
     assert data.setup.times_s == (0.0, 0.001)
 
