@@ -27,3 +27,8 @@ def local_records(folder: Path) -> list[dict[str, Any]]:
     """Read the records that `sabench run` left in a folder."""
     text = (folder / "leaderboard/records/local.jsonl").read_text(encoding="utf-8")
     return [json.loads(line) for line in text.splitlines()]
+
+
+def local_page(folder: Path) -> str:
+    """Read the page that `sabench run` left in a folder."""
+    return (folder / "leaderboard/index.html").read_text(encoding="utf-8")

@@ -4,11 +4,14 @@ as on the original."""
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+import tifffile
 
 import sabench
 from sabench.api import FoundParticles
@@ -23,7 +26,6 @@ from sabench.geometry.common_view import lattice_of
 from sabench.geometry.polynomial_cameras import fit_planes, fit_soloff
 from sabench.geometry.projective_camera import fit_projective
 from sabench.interop.cameras import read_camera_source
-from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.commands import refuse, succeed
 from tests.helpers.recordings import (
@@ -34,6 +36,7 @@ from tests.helpers.recordings import (
     write_pngs,
     write_stacks,
 )
+from tests.helpers.refusals import check_sentence, refused
 
 
 @pytest.fixture(scope="module")
@@ -88,9 +91,7 @@ def test_commands(original: Dataset, pngs: Path, tmp_path: Path, command: Comman
     )
     done = succeed(command("solve", "ray_triangulation", "tank", "-o", "r.h5"))
     for word in ("r.h5", "truth", "empty"):
-        refuse(
-            command("score", "tank", word), "expected a data set with its truth, got a recorded one"
-        )
+        refuse(command("score", "tank", word), "tank")
     done = succeed(command("pack", "tank", "-o", "copy"))
     assert verify(tmp_path / "copy") == []
     refuse(command("import", pngs, "--cameras", original.root, "-o", "tank"), "tank")
@@ -104,7 +105,7 @@ def test_export_needs_no_truth(original: Dataset, pngs: Path, tmp_path: Path) ->
         sabench.solve(solver, tank, out)
         made = sabench.export(tank, tmp_path / solver, out)
         assert any(made.iterdir())
-    with pytest.raises(InputError, match="got a recorded one"):
+    with refused("tank"):
         sabench.export(tank, tmp_path / "truth")
 
 
@@ -112,7 +113,8 @@ def test_changed_files_are_found(original: Dataset, pngs: Path, tmp_path: Path) 
     tank = import_like(original, pngs, tmp_path / "tank")
     image = tank.root / "images/frame_0001/camera_02.tif"
     image.write_bytes(image.read_bytes()[:-1] + b"\x01")
-    assert verify(tank.root) == [f"{image}: its bytes do not match the manifest"]
+    (fault,) = verify(tank.root)
+    check_sentence(fault, image.name)
     path = tank.root / "manifest.json"
     path.write_text(path.read_text(encoding="utf-8").replace("true", "false"), encoding="utf-8")
     assert "recorded" in verify(tank.root)[0]
@@ -154,31 +156,29 @@ def test_cameras_of_any_model(original: Dataset, pngs: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"),
+    "change",
     [
-        ({"model": "fisheye"}, "cameras.0: expected a camera with a model of pinhole, projective"),
-        ({"matrix": [[1.0, 0.0, 0.0]] * 3}, "a: expected a camera that maps points to pixels"),
-        ({"matrix": [[0.0] * 4] * 3}, "a: expected a camera that maps points to pixels"),
-        ({"rows": 0}, "a: expected positive sizes"),
-        ({"scale": 2.0}, "cameras.0.scale: "),
-        ({"name": "a b"}, "expected different names of letters"),
+        {"model": "fisheye"},
+        {"matrix": [[1.0, 0.0, 0.0]] * 3},
+        {"matrix": [[0.0] * 4] * 3},
+        {"rows": 0},
+        {"scale": 2.0},
+        {"name": "a b"},
     ],
 )
-def test_broken_cameras(change: dict[str, Any], expected: str, tmp_path: Path) -> None:
+def test_broken_cameras(change: dict[str, Any], tmp_path: Path) -> None:
     matrix = [[100.0, 0.0, 0.0, 50.0], [0.0, 100.0, 0.0, 40.0], [0.0, 0.0, 0.01, 1.0]]
     camera = {"model": "projective", "name": "a", "rows": 80, "columns": 100, "matrix": matrix}
     head = {"format": "sabench-dataset", "version": 1}
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps(head | {"cameras": [camera | change]}), encoding="utf-8")
-    with pytest.raises(InputError, match=expected):
+    with refused("cameras.json"):
         read_camera_source(path)
 
 
 @pytest.mark.slow
 def test_masks_and_smaller_sensors(original: Dataset, tmp_path: Path) -> None:
     """One camera's images are smaller, another one's are masked."""
-    import cv2
-
     masks = tmp_path / "masks"
     masks.mkdir()
     rows, columns = original.setup.cameras[0].rows, original.setup.cameras[0].columns
@@ -186,8 +186,6 @@ def test_masks_and_smaller_sensors(original: Dataset, tmp_path: Path) -> None:
     counts[:, :40] = 0
     cv2.imwrite(str(masks / "camera_02.png"), counts)
     folder = write_stacks(original, tmp_path / "stacks")
-    import tifffile
-
     tifffile.imwrite(
         folder / "camera_01.tif", stack_of(original, 1)[:, :-6, :-9], photometric="minisblack"
     )
@@ -209,36 +207,34 @@ def test_masks_and_smaller_sensors(original: Dataset, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "expected"),
+    ("changes", "key"),
     [
-        ({"volume_mm": (500.0, 501.0, 0.0, 1.0, 0.0, 1.0)}, "camera_00: .* sees nothing of it"),
-        ({"pairs": {"left": "camera_00"}}, "images: expected one of camera_00"),
-        ({"frames": slice(9, 12)}, "camera_00: expected images in the range of frames"),
-        ({"pulses": 3}, "expected a whole number of groups of 3 frames"),
-        ({"black_dn": 5000.0}, "camera_00: expected black below white"),
+        ({"volume_mm": (500.0, 501.0, 0.0, 1.0, 0.0, 1.0)}, "camera_00"),
+        ({"pairs": {"left": "camera_00"}}, "images"),
+        ({"frames": slice(9, 12)}, "camera_00"),
+        ({"pulses": 3}, "3 frames"),
+        ({"black_dn": 5000.0}, "camera_00"),
     ],
 )
 def test_import_refuses(
-    changes: dict[str, Any], expected: str, original: Dataset, pngs: Path, tmp_path: Path
+    changes: dict[str, Any], key: str, original: Dataset, pngs: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=expected) as caught:
+    with refused(key) as caught:
         import_like(original, pngs, tmp_path / "tank", **changes)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_missing_images(original: Dataset, tmp_path: Path) -> None:
-    import tifffile
-
     folder = write_stacks(original, tmp_path / "stacks")
-    options = {"photometric": "minisblack"}
-    tifffile.imwrite(folder / "camera_03.tif", stack_of(original, 3)[:2], **options)
-    with pytest.raises(InputError, match=r"got 4 of camera_00, .* 2 of camera_03"):
+    stack = stack_of(original, 3)[:2]
+    tifffile.imwrite(folder / "camera_03.tif", stack, photometric="minisblack")
+    with refused("camera_00", "camera_03"):
         import_like(original, folder, tmp_path / "tank")
     tank = import_like(original, folder, tmp_path / "short", frames=slice(0, 2))
     assert tank.setup.frames == 2
     (folder / "camera_01.tif").rename(folder / "spare.tif")
-    with pytest.raises(InputError, match="found none of camera_01"):
+    with refused("camera_01"):
         import_like(original, folder, tmp_path / "tank")
     pairs = {f"camera_0{n}": f"camera_0{n}" for n in (0, 2)} | {"spare": "camera_01"}
     tank = import_like(original, folder, tmp_path / "three", pairs=pairs)
@@ -254,8 +250,6 @@ def test_double_frames(original: Dataset, pngs: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_images_stay_where_they_are(original: Dataset, pngs: Path, tmp_path: Path) -> None:
-    import shutil
-
     folder = tmp_path / "images"
     shutil.copytree(pngs, folder)
     tank = import_like(original, folder, tmp_path / "tank", referenced=True)
@@ -267,15 +261,15 @@ def test_images_stay_where_they_are(original: Dataset, pngs: Path, tmp_path: Pat
         strict=True,
     ):
         np.testing.assert_array_equal(one.position_mm, other.position_mm)
-    with pytest.raises(InputError, match="pack it with --blind"):
+    with refused("tank", "--blind"):
         pack(tank, tmp_path / "whole", blind=False)
     pack(tank, tmp_path / "blind", blind=True)
     assert verify(tmp_path / "blind") == []
     image = folder / "camera_01" / "img_2.png"
     image.write_bytes(image.read_bytes() + b"x")
-    assert verify(tank.root)[0] == f"{image}: its bytes are not those that were imported"
+    check_sentence(verify(tank.root)[0], image.name)
     image.unlink()
-    assert "missing" in verify(tank.root)[0]
+    check_sentence(verify(tank.root)[0], image.name)
 
 
 def test_references_are_checked(original: Dataset, pngs: Path, tmp_path: Path) -> None:
@@ -283,15 +277,12 @@ def test_references_are_checked(original: Dataset, pngs: Path, tmp_path: Path) -
     assert tank.references is not None
     first = tank.references
     shape = first.shapes["camera_00"]
-    cases: dict[str, dict[str, Any]] = {
-        "expected a shape of at most": {"shapes": first.shapes | {"camera_00": (500, 500)}},
-        "expected a plain file inside": {"images": {"camera_00": (("../secret.png", 0),)}},
-        "expected an image of frame 0": {"images": {}},
-        "expected image 7 in it, got fewer": {
-            "images": {"camera_00": (("camera_00/img_0.png", 7),)}
-        },
-        "found no such file": {"folder": str(tmp_path / "moved")},
-    }
-    for expected, change in cases.items():
-        with pytest.raises(InputError, match=expected):
+    for change in (
+        {"shapes": first.shapes | {"camera_00": (500, 500)}},
+        {"images": {"camera_00": (("../secret.png", 0),)}},
+        {"images": {}},
+        {"images": {"camera_00": (("camera_00/img_0.png", 7),)}},
+        {"folder": str(tmp_path / "moved")},
+    ):
+        with refused():
             first.model_copy(update=change).read("camera_00", 0, shape)

@@ -13,15 +13,19 @@ import pytest
 import tifffile
 
 import sabench
+from sabench.dataset.copies import pack
 from sabench.dataset.reader import open_dataset
 from sabench.dataset.verification import verify
 from sabench.evaluation.record_schema import parse
-from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.runner import dataset_of
+from sabench.evaluation.suite_loading import Secret, load_suite
 from sabench.tasks.quality import FIGURES
 from sabench.utils.errors import InputError
 from tests.conftest import Command
-from tests.helpers.commands import refuse, succeed
+from tests.helpers.commands import local_page, local_records, refuse, succeed
 from tests.helpers.recordings import import_exactly, make_scene_in_motion, write_pngs
+from tests.helpers.refusals import refused
+from tests.system.test_board import block
 from tests.system.test_programs import WHOLE, write
 
 SUITE = """title = "t"
@@ -53,17 +57,6 @@ def folder(made: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def lines(folder: Path) -> list[dict[str, Any]]:
-    text = (folder / "leaderboard/records/local.jsonl").read_text()
-    return [json.loads(line) for line in text.splitlines()]
-
-
-def data_of_page(folder: Path) -> Any:
-    text = (folder / "leaderboard/index.html").read_text(encoding="utf-8")
-    (found,) = re.findall(r'id="data">(.*?)</script>', text, re.DOTALL)
-    return json.loads(found)
-
-
 def damage(folder: Path) -> Path:
     image = folder / "tank/images/frame_0001/camera_02.tif"
     image.write_bytes(image.read_bytes()[:-1] + b"\x01")
@@ -80,11 +73,11 @@ def import_again(made: Path, folder: Path) -> None:
 def test_a_recording_beside_a_scene(folder: Path, command: Command) -> None:
     (folder / "s.toml").write_text(SUITE + QUICK)
     succeed(command("run", "s.toml"))
-    scene, recording = lines(folder)
+    scene, recording = local_records(folder)
     assert (scene["recorded"], scene.get("quality"), scene["case"]) == (False, None, "few")
     tank = open_dataset(folder / "tank")
-    head = [recording[key] for key in ("recorded", "case", "dataset", "seed", "renderer", "split")]
-    assert head == [True, "tank", tank.content_hash, 0, "recorded", "public"]
+    head = {"recorded": True, "case": "tank", "dataset": tank.content_hash, "seed": 0}
+    assert recording.items() >= (head | {"renderer": "recorded", "split": "public"}).items()
     known = {key for key, value in recording["quality"]["figures"].items() if value is not None}
     assert known == ALONE
     assert recording["quality"]["figures"]["explained"] > 0.5
@@ -96,11 +89,11 @@ def test_a_recording_beside_a_scene(folder: Path, command: Command) -> None:
 
     again = command("run", "s.toml", "--json")
     assert "tank, recorded, known" in again.stderr
-    assert len(json.loads(again.stdout)) == len(lines(folder)) == 2
+    assert len(json.loads(again.stdout)) == len(local_records(folder)) == 2
     words = shlex.split(recording["command"])
     assert "--seed" not in words
     assert command(*words[1:], "--fresh").returncode == 0
-    anew = lines(folder)[2]
+    anew = local_records(folder)[2]
     assert anew["run_hash"] == recording["run_hash"]
     assert anew["quality"] == recording["quality"]
 
@@ -110,13 +103,9 @@ def test_the_page_has_a_table_of_its_own_without_ranks(folder: Path, command: Co
     both = '{ name = "msa" }, { name = "ray_triangulation" }'
     (folder / "s.toml").write_text(SUITE.replace('{ name = "ray_triangulation" }', both) + QUICK)
     done = succeed(command("run", "s.toml"))
-    page = data_of_page(folder)
-    assert list(page["tasks"]) == [
-        "reconstruction",
-        "reconstruction, recorded",
-        "particles",
-        "particles, recorded",
-    ]
+    page = block(local_page(folder))
+    names = ("reconstruction", "particles")
+    assert list(page["tasks"]) == [one for name in names for one in (name, f"{name}, recorded")]
     own = page["tasks"]["particles, recorded"]
     assert [one["key"] for one in own["columns"]] == [*FIGURES, "seconds", "peak_mb"]
     assert own["columns"][0]["meaning"].endswith("; smaller is better")
@@ -128,7 +117,7 @@ def test_the_page_has_a_table_of_its_own_without_ranks(folder: Path, command: Co
     assert not any(row["ranked"] for row in recorded)
     assert all(row["ranked"] for row in page["rows"] if row not in recorded)
     assert recorded[1]["scores"][1][0] == pytest.approx(
-        lines(folder)[3]["quality"]["figures"]["explained"]
+        local_records(folder)[3]["quality"]["figures"]["explained"]
     )
     pictures = [path.name for path in (folder / "leaderboard/pictures").glob("tank-*/*")]
     assert "truth.png" not in pictures
@@ -144,12 +133,12 @@ def test_all_figures_where_the_suite_asks_for_them(folder: Path, command: Comman
     asked = '[{ folder = "tank", quality = { frames = 2, again = true } }]'
     (folder / "s.toml").write_text(SUITE.replace('["tank"]', asked))
     succeed(command("run", "s.toml"))
-    first, second = lines(folder)
+    first, second = local_records(folder)
     assert first["run_hash"] != second["run_hash"]
     judged = second["quality"]
     assert (judged["frames"], judged["again"]) == (2, True)
     assert all(judged["figures"][key] is not None for key in FIGURES)
-    (row,) = data_of_page(folder)["rows"]  # the newest record counts
+    (row,) = block(local_page(folder))["rows"]  # the newest record counts
     assert row["runs"] == [second["run_hash"]]
 
 
@@ -169,7 +158,7 @@ def test_images_without_particles(made: Path, folder: Path, command: Command) ->
     suite = SUITE.replace('["tank"]', asked).replace('{ name = "ray_triangulation" }', solvers)
     (folder / "s.toml").write_text(suite)
     succeed(command("run", "s.toml"))
-    first, second = lines(folder)
+    first, second = local_records(folder)
     assert (first["error"], second["error"]) == (None, None)
     assert first["quality"]["figures"]["followed"] is None
 
@@ -189,9 +178,9 @@ def test_programs_and_images_elsewhere(made: Path, folder: Path, command: Comman
     done = command("run", "s.toml", "--json")
     (record,) = json.loads(done.stdout)
     assert (record["solver"], record["error"], record["whole_process"]) == ("mine", None, True)
-    assert "expected a solver that sabench has, got mine" in " ".join(done.stderr.split())
+    assert "mine" in done.stderr
     (images / "camera_01/img_2.png").unlink()
-    refuse(command("run", "s.toml", "--fresh"), "img_2.png: missing")
+    refuse(command("run", "s.toml", "--fresh"), "img_2.png")
 
 
 @pytest.mark.slow
@@ -199,40 +188,35 @@ def test_a_recording_that_has_changed(made: Path, folder: Path, command: Command
     """A damaged one is refused, another one of the same name is solved anew."""
     assert command("run", "s.toml").returncode == 0
     image = damage(folder)
-    done = command("run", "s.toml", "--fresh")
-    assert done.returncode == 2
-    sentence = " ".join(done.stderr.split())
-    assert f"recording tank: expected the files that were imported, but {image}" in sentence
+    refuse(command("run", "s.toml", "--fresh"), "recording tank", str(image))
     assert image.is_file()
-    assert len(lines(folder)) == 1
+    assert len(local_records(folder)) == 1
     import_again(made, folder)
     done = succeed(command("run", "s.toml"))
-    assert "recording tank: it has changed since its record of" in " ".join(done.stderr.split())
-    first, second = lines(folder)
+    assert "recording tank: it has changed" in " ".join(done.stderr.split())
+    first, second = local_records(folder)
     assert first["dataset"] != second["dataset"]
-    assert len(data_of_page(folder)["cases"]) == 2
+    assert len(block(local_page(folder))["cases"]) == 2
 
 
 def test_a_change_during_a_run_is_found(made: Path, folder: Path) -> None:
-    from sabench.evaluation.runner import dataset_of
-
     (case,) = load_suite(folder / "s.toml")[1]
     assert dataset_of(case, folder, fresh=True).root == folder / "tank"
     import_again(made, folder)
-    with pytest.raises(InputError, match="expected no change of the recording during the run"):
+    with refused("tank"):
         dataset_of(case, folder, fresh=True)
 
 
 def test_a_frozen_suite_freezes_its_recordings(made: Path, folder: Path) -> None:
     file = folder / "s.toml"
     file.write_text(f'frozen = "{"0" * 64}"\n' + SUITE)
-    with pytest.raises(InputError, match="got others with") as caught:
+    with pytest.raises(InputError) as caught:  # of hashes that no machine repeats
         load_suite(file)
     (found,) = re.findall("got others with ([0-9a-f]{64})", str(caught.value))
     file.write_text(file.read_text().replace("0" * 64, found))
     assert len(load_suite(file)[1]) == 1
     import_again(made, folder)
-    with pytest.raises(InputError, match="a change needs a new version"):
+    with pytest.raises(InputError, match=r"s\.toml"):
         load_suite(file)
 
 
@@ -260,10 +244,8 @@ def test_gates_compare_figures_without_truth(folder: Path, command: Command) -> 
 
 
 def test_a_private_test_set_has_scenes_alone(folder: Path) -> None:
-    from sabench.evaluation.suite_loading import Secret
-
     secret = Secret(secret="the organiser's own words", seeds=2)
-    with pytest.raises(InputError, match="got recordings alone"):
+    with refused("s.toml"):
         load_suite(folder / "s.toml", secret)
     (folder / "s.toml").write_text(SUITE + QUICK)
     assert [case.name for case in load_suite(folder / "s.toml", secret)[1]] == ["few", "few"]
@@ -276,49 +258,36 @@ def test_one_case_whatever_the_seeds_are(folder: Path, command: Command) -> None
     assert [(case.name, case.shown_seed) for case in cases] == [("few", 1), ("few", 2), ("tank", 0)]
     done = command("run", "s.toml", "--case", "tank", "--solver", "ray_triangulation", "--json")
     assert [record["case"] for record in json.loads(done.stdout)] == ["tank"]
-    done = command("run", "s.toml", "--case", "tunk")
-    assert "--case tunk: expected one of few, tank" in " ".join(done.stderr.split())
+    refuse(command("run", "s.toml", "--case", "tunk"), "--case tunk", "tank")
 
 
-@pytest.mark.parametrize(
-    ("written", "sentence"),
-    [
-        ("nothing", "recordings: nothing: expected the folder of a recorded data set, found none"),
-        ("images", "images: expected the folder of a recorded data set, found one without manif"),
-        ("data", "data: expected a recorded data set, got one with truth; name its scene"),
-        ("blind", "blind: expected a recorded data set, got the observation side"),
-        ("x" * 300, "expected a name of at most 200 characters"),
-        ("a\0b", "found none"),
-    ],
-)
-def test_other_folders_are_refused(written: str, sentence: str, made: Path, tmp_path: Path) -> None:
-    from sabench.dataset.copies import pack
-
+@pytest.mark.parametrize("written", ["nothing", "images", "data", "blind", "x" * 300, "a\0b"])
+def test_other_folders_are_refused(written: str, made: Path, tmp_path: Path) -> None:
     if not (made / "blind").is_dir():
         pack(open_dataset(made / "data"), made / "blind", blind=True)
     place = str(made / written) if written in ("images", "data", "blind") else written
     (tmp_path / "s.toml").write_text(SUITE.replace('"tank"', json.dumps(place)))
-    with pytest.raises(InputError, match=re.escape(sentence)) as caught:
+    with refused("s.toml") as caught:
         load_suite(tmp_path / "s.toml")
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("change", "key"),
     [
-        ({"f1": 0.9}, "f1: expected no score of a recorded data set"),
-        ({"recorded": False}, "quality: expected none of a data set that is not recorded"),
-        ({"quality": {"figures": {"followed": 2.0}}}, "followed: expected 0 to 1, got 2.0"),
-        ({"quality": {"figures": {"f1": 0.9}}}, "expected residual_px, explained"),
-        ({"quality": {"figures": {"explained": "much"}}}, "explained: expected a number or null"),
+        ({"f1": 0.9}, "f1"),
+        ({"recorded": False}, "quality"),
+        ({"quality": {"figures": {"followed": 2.0}}}, "followed"),
+        ({"quality": {"figures": {"f1": 0.9}}}, "figures"),
+        ({"quality": {"figures": {"explained": "much"}}}, "explained"),
     ],
 )
-def test_records_with_unknown_truth_are_left_out(change: dict[str, Any], sentence: str) -> None:
+def test_records_with_unknown_truth_are_left_out(change: dict[str, Any], key: str) -> None:
     names = ("scene", "scene_hash", "dataset", "renderer", "solver", "run_hash")
     record = dict.fromkeys(names, "tank") | {"seed": 0, "task": "particles", "parameters": {}}
     record |= {"versions": {}, "machine": {}, "version": 2, "recorded": True}
     record |= {"quality": {"frames": 1, "again": False, "figures": {"explained": 0.9}}}
     assert parse(json.dumps(record).encode())["recorded"] is True
     judged = record["quality"] | change.pop("quality", {})
-    with pytest.raises(ValueError, match=re.escape(sentence)):
+    with refused(key, kind=ValueError):
         parse(json.dumps(record | {"quality": judged} | change).encode())

@@ -27,13 +27,8 @@ from tests.helpers.bubble_scenes import LASER, small
 from tests.helpers.commands import refuse
 from tests.helpers.refusals import refused
 
-ABC = {
-    "generator": "abc_flow",
-    "wavelength_mm": 30.0,
-    "a_mm_s": 40.0,
-    "b_mm_s": 30.0,
-    "c_mm_s": 20.0,
-}
+SPEEDS = {"a_mm_s": 40.0, "b_mm_s": 30.0, "c_mm_s": 20.0}
+ABC = {"generator": "abc_flow", "wavelength_mm": 30.0} | SPEEDS
 
 
 def moving(frames: int = 6) -> Scene:
@@ -45,20 +40,14 @@ def moving(frames: int = 6) -> Scene:
 
 def bubbly() -> Scene:
     """Bubbles, and tracers among them that a flow carries."""
-    flow = {
-        "frames": 2,
-        "interval_s": 0.01,
-        "flow": ABC,
-        "particles": {"generator": "uniform", "count": 30},
-        "illumination": LASER,
-    }
-    return small(**flow, render={"relative_error": 0.2})
+    tracers = {"particles": {"generator": "uniform", "count": 30}, "illumination": LASER}
+    flow = {"frames": 2, "interval_s": 0.01, "flow": ABC}
+    return small(**flow, **tracers, render={"relative_error": 0.2})
 
 
 def made(scene: Scene, folder: Path, **how: Any) -> str:
-    return generate(
-        scene, folder, seed=4, backend="auto" if scene.bubbles else "splat", name="s", **how
-    ).content_hash
+    backend = "auto" if scene.bubbles else "splat"
+    return generate(scene, folder, backend=backend, name="s", **({"seed": 4} | how)).content_hash
 
 
 @pytest.fixture
@@ -163,18 +152,7 @@ def test_a_frame_that_breaks_is_reported_alone(tmp_path: Path, own_process: Comm
         "particles": {"generator": "breaker", "until": str(cure)}
     }
     (tmp_path / "s.toml").write_text(tomli_w.dumps(values))
-    words = [
-        "generate",
-        "s.toml",
-        "-o",
-        "set",
-        "--backend",
-        "splat",
-        "--frames",
-        "3",
-        "--jobs",
-        "2",
-    ]
+    words = ("generate", "s.toml", "-o", "set", "--backend", "splat", "--frames", 3, "--jobs", 2)
     environment = {"SABENCH_PLUGINS": str(tmp_path / "mine")}
     refuse(own_process(*words, env=environment), "frame 1", "exit code 11")
     (left,) = tmp_path.glob(".set.parts-*")
@@ -218,11 +196,7 @@ def test_another_scene_or_seed_starts_anew(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(KeyboardInterrupt):
         made(moving(2), tmp_path / "set")
     monkeypatch.setattr("sabench.simulation.pipeline.run_schedule", run_schedule)
-    other, fresh = (
-        generate(moving(2), tmp_path / name, seed=5, backend="splat", name="s").content_hash
-        for name in ("set", "fresh")
-    )
-    assert other == fresh
+    assert made(moving(2), tmp_path / "set", seed=5) == made(moving(2), tmp_path / "fresh", seed=5)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["fresh", "set"]
 
 
@@ -270,11 +244,8 @@ def test_a_cluster_of_killed_workers_makes_the_same_bytes(
 
 @pytest.mark.slow
 def test_bad_input_on_a_cluster_is_a_sentence(tmp_path: Path, cluster: Any) -> None:
-    scene = parse_scene(
-        moving(2).to_dict()
-        | {"particles": {"generator": "uniform", "count": 5, "velocity_mm_s": [1.0, 0.0, 0.0]}},
-        "m",
-    )
+    drift = {"generator": "uniform", "count": 5, "velocity_mm_s": [1.0, 0.0, 0.0]}
+    scene = parse_scene(moving(2).to_dict() | {"particles": drift}, "m")
     with refused("particles"):
         made(scene, tmp_path / "set", scheduler=cluster.scheduler_address)
     assert not list(tmp_path.iterdir())

@@ -79,10 +79,10 @@ def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command
 ) -> None:
     (tmp_path / "s.toml").write_text(SUITE)
     succeed(command("run", "s.toml", "--case", "few", "--seed", "1"))
-    assert [
-        (r["seed"], r["solver"], r["difficulty"], r["axis"], r["split"])
-        for r in local_records(tmp_path)
-    ] == [(1, "asa", "easy", "density", "public"), (1, "msa", "easy", "density", "public")]
+    named = {"seed": 1, "difficulty": "easy", "axis": "density", "split": "public"}
+    first = local_records(tmp_path)
+    assert [one["solver"] for one in first] == ["asa", "msa"]
+    assert all(one.items() >= named.items() for one in first)
     again = command("run", "s.toml", "--json")
     assert "few, seed 1, known" in again.stderr
     before = local_records(tmp_path)
