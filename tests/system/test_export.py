@@ -179,9 +179,8 @@ def tiny(**changes: Any) -> Scene:
     """A quick one: exports do not look at images."""
     layout = {"kind": "line", "count": 2, "spacing_mm": 120.0}
     cameras = {"rows": 24, "columns": 30, "pixel_mm": 0.09, "layout": layout}
-    return small(
-        cameras=small().to_dict()["cameras"] | cameras, render={"relative_error": 0.2}, **changes
-    )
+    cameras = small().to_dict()["cameras"] | cameras
+    return small(cameras=cameras, render={"relative_error": 0.2}, **changes)
 
 
 @pytest.fixture(scope="module")

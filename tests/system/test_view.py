@@ -56,17 +56,14 @@ def test_the_observation_side_shows_finds(
 
 
 @pytest.mark.parametrize(
-    "words",
-    [["nothing"], ["nothing.h5"], ["quick", "result.h5"], ["."], ["broken.h5"], ["away.h5"]],
+    "words", ["nothing", "nothing.h5", "quick result.h5", ".", "broken.h5", "away.h5"]
 )
-def test_errors_of_view(
-    command: Command, quick_result: Path, tmp_path: Path, words: list[str]
-) -> None:
+def test_errors_of_view(command: Command, quick_result: Path, tmp_path: Path, words: str) -> None:
     (tmp_path / "broken.h5").write_bytes(b"no HDF5")
     shutil.copy(quick_result, tmp_path / "away.h5")
-    done = command("view", *words)
+    done = command("view", *words.split())
     assert (done.stdout, done.stderr.count("\n")) == ("", 1)
-    refuse(done, words[0])
+    refuse(done, words.split()[0])
     assert not (tmp_path / "view.html").exists()
 
 
