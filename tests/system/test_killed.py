@@ -87,13 +87,18 @@ def below(pid: int) -> set[psutil.Process]:
     return set()
 
 
-def wait_until(holds: Callable[[], bool], seconds: float) -> bool:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if holds():
-            return True
-        time.sleep(0.05)
-    return holds()
+def server_waits(pid: int) -> bool:
+    """The server of child processes has started."""
+    children = below(pid)
+    with contextlib.suppress(psutil.Error):
+        return any(cpu_s(one) > 0.3 and one.status() == psutil.STATUS_SLEEPING for one in children)
+    return False
+
+
+def lives(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error):
+        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
+    return False
 
 
 def cpu_s(process: psutil.Process) -> float:
@@ -103,27 +108,15 @@ def cpu_s(process: psutil.Process) -> float:
     return 0.0
 
 
-def lives(process: psutil.Process) -> bool:
-    with contextlib.suppress(psutil.Error):
-        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
-    return False
-
-
 def kill_in_the_middle(folder: Path, started: Callable[[int], bool], *words: str) -> list[str]:
     """Start a command, kill it when it works, and list the processes that outlive it."""
-    environment = os.environ | {
-        "PYTHONPATH": str(ROOT),
-        "SABENCH_PLUGINS": str(folder / "mine"),
-        MARK: str(folder),
-    }
-    with subprocess.Popen(
-        [sys.executable, "-m", "sabench", *words],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    ) as command:
-        came = wait_until(lambda: started(command.pid), _START_S)
+    own = {"PYTHONPATH": str(ROOT), "SABENCH_PLUGINS": str(folder / "mine"), MARK: str(folder)}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    line = [sys.executable, "-m", "sabench", *words]
+    with subprocess.Popen(line, cwd=folder, env=os.environ | own, **quiet) as command:
+        end, came = time.monotonic() + _START_S, False
+        while not (came := started(command.pid)) and time.monotonic() < end:
+            time.sleep(0.05)
         seen = below(command.pid)
         command.kill()
     assert came, "the command never came to its work"
@@ -142,8 +135,7 @@ def kill_in_the_middle(folder: Path, started: Callable[[int], bool], *words: str
 def program_works(pid: int) -> bool:
     """The program and its own child compute."""
     with contextlib.suppress(psutil.Error):
-        every = below(pid)
-        return any(BUSY in one.cmdline() and cpu_s(one) > _BUSY_S for one in every)
+        return any(BUSY in one.cmdline() and cpu_s(one) > _BUSY_S for one in below(pid))
     return False
 
 
@@ -153,16 +145,6 @@ def child_works(pid: int) -> bool:
         servers = psutil.Process(pid).children()
         return any(
             cpu_s(one) > _BUSY_S for server in servers for one in server.children(recursive=True)
-        )
-    return False
-
-
-def server_waits(pid: int) -> bool:
-    """The server of child processes has started."""
-    with contextlib.suppress(psutil.Error):
-        return any(
-            cpu_s(one) > 0.3 and one.status() == psutil.STATUS_SLEEPING
-            for one in psutil.Process(pid).children()
         )
     return False
 
