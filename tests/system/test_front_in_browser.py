@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,9 @@ import pytest
 
 from sabench.evaluation.leaderboard import board
 from sabench.evaluation.record_schema import Record
-from tests.helpers.browser import Browser, chromium
+from tests.helpers.browser import Browser
 from tests.system.test_board import draw, record
+from tests.system.test_board_in_browser import DRAWN
 
 DASH = "\u2013"
 EVIL = '=1+1"><img src=x onerror="document.title=1">'
@@ -23,10 +23,6 @@ PLACES = (
 RANKS = (
     "[...document.querySelectorAll('.board tbody tr:not(.truth)')]"
     ".map(row => [...row.querySelectorAll('.rank')].map(cell => cell.textContent))"
-)
-DRAWN = (
-    "document.querySelectorAll('.plot').length > 0 && "
-    "[...document.querySelectorAll('.plot')].every(plot => plot.dataset.drawn)"
 )
 # what a press would save: the page makes a blob of it and follows a link
 CATCH = (
@@ -40,14 +36,6 @@ STEPS = [[1, 2.0, 0.6], [2, 3.0, 0.7], [3, 4.0, 0.75]]  # iterations, their seco
 VIEWS = ("", "#view=table", "#view=time", "#view=why", "#view=case&case=standard-standard-splat")
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as session:
-        if session is None:
-            pytest.skip("chromium and chromedriver are not both on the PATH")
-        yield session
-
-
 def trial() -> list[Record]:
     """Four solvers in three cases of five seeds, and in two that change the density."""
     levels = {"easy": 0.9, "standard": 0.8, "hard": 0.5}
@@ -58,10 +46,7 @@ def trial() -> list[Record]:
         record(
             solver,
             base + change + 0.03 * ((seed * (3 if solver == "close" else 1)) % 5 - 2),
-            seed=seed,
-            case=level,
-            scene_hash=level,
-            difficulty=level,
+            **{"case": level, "scene_hash": level, "difficulty": level, "seed": seed},
             dataset=f"{level}-{seed}",
             seconds=10.0 * (1.0 + change),
             pictures=level if seed == 1 else None,
@@ -77,13 +62,9 @@ def trial() -> list[Record]:
         record(
             solver,
             0.8 + change - ppp + 0.01 * seed,
-            seed=seed,
-            case=f"dense-{ppp}",
-            scene_hash=f"dense-{ppp}",
+            **{"case": f"dense-{ppp}", "scene_hash": f"dense-{ppp}", "seed": seed},
+            **{"axis": "density", "axes": {"particles.per_pixel": ppp}, "seconds": 1.0},
             dataset=f"{ppp}-{seed}",
-            axis="density",
-            axes={"particles.per_pixel": ppp},
-            seconds=1.0,
             **head,
         )
         for ppp in (0.05, 0.1, 0.2)
@@ -107,18 +88,13 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # The ranking
 
 
-@pytest.mark.slow
-def test_the_page_opens_with_the_ranking(browser: Browser, page: Path) -> None:
+def test_the_page_opens_with_the_ranking_and_curves_with_bands(
+    browser: Browser, page: Path
+) -> None:
     browser.open(page)
     assert browser.ask(PLACES) == [["1", "good"], ["1", "close"], ["3", EVIL], [DASH, "fair"]]
     assert browser.ask(RANKS) == [["=1"] * 3, ["=1"] * 3, ["4", "4", "3"], ["3", "3", DASH]]
     assert browser.texts(".board b.score") == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
-    browser.wait(DRAWN)
-    assert browser.complaints() == []
-
-
-def test_curves_are_drawn_with_bands(browser: Browser, page: Path) -> None:
-    browser.open(page)
     browser.wait(DRAWN)
     count = "document.querySelectorAll('.plot').length"
     assert browser.ask(count) == 2  # over the density and over the tolerance
@@ -127,10 +103,9 @@ def test_curves_are_drawn_with_bands(browser: Browser, page: Path) -> None:
     points = "document.querySelectorAll('.plot')[1].querySelectorAll('.mark-symbol path').length"
     assert browser.ask(points) == 4 * 10
     heads = "[...document.querySelectorAll('h3')].map(head => head.textContent)"
-    assert browser.ask(heads) == [
-        "Score over one property of the scene",
-        "Score over the matching tolerance, standard",
-    ]
+    over = ("one property of the scene", "the matching tolerance, standard")
+    assert browser.ask(heads) == [f"Score over {one}" for one in over]
+    assert browser.complaints() == []
 
 
 @pytest.mark.slow
@@ -236,11 +211,8 @@ def test_without_scripts_a_static_table_is_there(browser: Browser, page: Path) -
         nodes = browser.devtools("Accessibility.getFullAXTree")["nodes"]
     finally:
         browser.devtools("Emulation.setScriptExecutionDisabled", value=False)
-    headers = [
-        one["name"]["value"]
-        for one in nodes
-        if not one["ignored"] and one["role"]["value"] == "rowheader"
-    ]
+    read = [one for one in nodes if not one["ignored"]]
+    headers = [one["name"]["value"] for one in read if one["role"]["value"] == "rowheader"]
     assert headers == ["good", "close", EVIL, "fair", "alone"]
     browser.open(page)
     assert browser.count(".static") == 0

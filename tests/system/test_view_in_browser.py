@@ -3,7 +3,6 @@ the keyboard, fits a phone, runs no name as code, and says what is missing where
 or no script."""
 
 import base64
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from sabench.apps.viewer.points import FOUND, MISSED, TRUE, Cloud
 from sabench.apps.viewer.view import render
 from sabench.dataset.reader import Dataset
 from sabench.scenes import load_scene
-from tests.helpers.browser import Browser, chromium
+from tests.helpers.browser import Browser
 
 EVIL = '</script><img src=x onerror="document.title=1">'
 SHOWN = "sabenchView.objects.points.geometry.attributes.position.count"
@@ -28,20 +27,11 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
 EXPECTED = ("software WebGL", "GPU stall due to ReadPixels")
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as session:
-        if session is None:
-            pytest.skip("chromium and chromedriver are not both on the PATH")
-        session.devtools("Network.enable")
-        session.devtools(
-            "Network.emulateNetworkConditions",
-            offline=True,
-            latency=0,
-            downloadThroughput=0,
-            uploadThroughput=0,
-        )
-        yield session
+@pytest.fixture(scope="module", autouse=True)
+def _offline(browser: Browser) -> None:
+    none = {"latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
+    browser.devtools("Network.enable")
+    browser.devtools("Network.emulateNetworkConditions", offline=True, **none)
 
 
 def moving(count: int = 40) -> Contents:
@@ -50,14 +40,9 @@ def moving(count: int = 40) -> Contents:
     start = np.random.default_rng(1).uniform(low + 1.0, high - 1.0, (count, 3))
     kind = np.repeat([TRUE, FOUND, MISSED], [count // 2, count // 4, count // 4]).astype(np.uint8)
     nothing = Cloud.of_kind(np.zeros((0, 3)), TRUE)
+    about = (kind, np.arange(count), np.full((count, 3), 3.0))
     frames = tuple(
-        Frame(
-            n,
-            0.1 * n,
-            Cloud.of_kind(start + 0.3 * n, kind, np.arange(count), np.full((count, 3), 3.0)),
-            nothing,
-        )
-        for n in range(3)
+        Frame(n, 0.1 * n, Cloud.of_kind(start + 0.3 * n, *about), nothing) for n in range(3)
     )
     labels = {"found": EVIL, "missed": "missed"}
     return replace(contents, title=EVIL, frames=frames, labels=labels)
