@@ -14,9 +14,9 @@ import sabench
 from sabench.cli.main import app
 from sabench.dataset.reader import Dataset
 from tests.conftest import Command
-from tests.helpers.calibration_cases import calibration_scene, case_of
+from tests.helpers.calibration_cases import calibration_scene, case_of, write_points
 from tests.helpers.commands import refuse, succeed
-from tests.system.test_calibrate import describe, write_points
+from tests.system.test_calibrate import describe
 
 BLIND = '''"""Turns all cameras away from the target."""
 

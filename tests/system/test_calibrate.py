@@ -23,7 +23,12 @@ from sabench.simulation.rendering.targets_traced import render
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import place
 from tests.conftest import Command
-from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
+from tests.helpers.calibration_cases import (
+    calibration_scene,
+    case_of,
+    true_error_px,
+    write_points,
+)
 from tests.helpers.calibration_tanks import MIDDLE, make_tank, off_wall, rotated, with_places
 from tests.helpers.commands import refuse, succeed
 from tests.helpers.refusals import refused
@@ -55,14 +60,6 @@ def describe(scene: Scene, folder: Path, cameras: tuple[Camera, ...], **changes:
     } | changes
     folder.mkdir(exist_ok=True)
     (folder / "calibration.toml").write_text(tomli_w.dumps(values))
-
-
-def write_points(path: Path, pixels: F64, cameras: tuple[Camera, ...]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["camera", "frame", "point", "column", "row"])
-        for c, k, i in np.argwhere(np.isfinite(pixels[..., 0])).tolist():
-            writer.writerow([cameras[c].name, k, i, *pixels[c, k, i]])
 
 
 def cameras_in(path: Path) -> tuple[Camera, ...]:

@@ -19,7 +19,7 @@ from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate
 from sabench.worlds.tracers import flow_of
 from tests.conftest import Command
-from tests.helpers.bubble_scenes import small
+from tests.helpers.bubble_scenes import few_pixels, small
 from tests.helpers.commands import refuse, succeed
 
 vtk = pytest.importorskip("vtkmodules.vtkIOHDF", reason="needs the package vtk")
@@ -177,9 +177,7 @@ def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Pat
 
 def tiny(**changes: Any) -> Scene:
     """A quick one: exports do not look at images."""
-    layout = {"kind": "line", "count": 2, "spacing_mm": 120.0}
-    cameras = {"rows": 24, "columns": 30, "pixel_mm": 0.09, "layout": layout}
-    cameras = small().to_dict()["cameras"] | cameras
+    cameras = few_pixels(24, 30, 0.09)
     return small(cameras=cameras, render={"relative_error": 0.2}, **changes)
 
 

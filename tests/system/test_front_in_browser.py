@@ -88,9 +88,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # The ranking
 
 
-def test_the_page_opens_with_the_ranking_and_curves_with_bands(
-    browser: Browser, page: Path
-) -> None:
+def test_the_page_opens_with_the_ranking_and_curves(browser: Browser, page: Path) -> None:
     browser.open(page)
     assert browser.ask(PLACES) == [["1", "good"], ["1", "close"], ["3", EVIL], [DASH, "fair"]]
     assert browser.ask(RANKS) == [["=1"] * 3, ["=1"] * 3, ["4", "4", "3"], ["3", "3", DASH]]

@@ -23,28 +23,9 @@ from sabench.tasks.see_through import TASK
 from sabench.tasks.solve_and_score import score, solve
 from sabench.worlds.bubbles_and_bodies import code_of
 from tests.conftest import Command
-from tests.helpers.bubble_scenes import small
+from tests.helpers.bubble_scenes import CURTAIN, PLATE, VOLUME, small
 from tests.helpers.commands import refuse, succeed
 from tests.helpers.refusals import refused
-
-PLATE = {
-    "generator": "code_plate",
-    "columns": 6,
-    "rows": 5,
-    "cell_mm": 2.0,
-    "place_mm": [0.0, 0.0, 66.0],
-    "material": {"reflectance": 0.0},
-}
-CURTAIN = {
-    "generator": "bubble_field",
-    "count": 14,
-    "radius_mm": 1.2,
-    "radius_spread": 0.1,
-    "radius_range_mm": [0.9, 1.6],
-    "low_mm": [-9.0, -8.0, 28.0],
-    "high_mm": [9.0, 8.0, 40.0],
-}
-VOLUME = {"center_mm": [0.0, 0.0, 48.0], "size_mm": [24.0, 18.0, 40.0]}
 
 
 def behind(curtain: dict[str, Any] | None = CURTAIN, **plate: Any) -> Scene:
