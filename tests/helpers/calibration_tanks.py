@@ -13,7 +13,7 @@ from sabench.geometry.camera import Camera, aim
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import rotation_matrices
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, triple
 from tests.helpers.cameras import ALONG_Z, make_camera
 from tests.helpers.small_particles import rotate_cameras
 

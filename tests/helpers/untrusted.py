@@ -309,14 +309,13 @@ def reseal(root: Path) -> None:
     """Let the manifest, if it can still be read, say of all files what they are now."""
     try:
         manifest = json.loads((root / schema.MANIFEST).read_text())
-        there = [path for path in sorted(root.rglob("*")) if path.is_file()]
         files = {
             path.relative_to(root).as_posix(): {
                 "bytes": path.stat().st_size,
                 "sha256": sha256(path),
             }
-            for path in there
-            if path.name != schema.MANIFEST
+            for path in sorted(root.rglob("*"))
+            if path.is_file() and path.name != schema.MANIFEST
         }
         entries = {name: schema.FileEntry(**entry) for name, entry in files.items()}
         new = {"files": files, "content_hash": schema.content_hash(entries)}
