@@ -54,17 +54,6 @@ def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
 
 
 @pytest.mark.slow
-def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> None:
-    true, nothing = score(bubbly, "truth"), score(bubbly, "empty")
-    assert true["task"] == "bubbles"
-    assert true["f1"] == true["f1_large"] == true["precision"] == 1.0
-    assert true["depth_mm"] == true["radius_percent"] == 0.0
-    assert nothing["f1"] == 0.0
-    assert nothing["void_percent"] == 100.0
-    assert nothing["penetration_percent"] is None
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_solvers_find_visible_bubbles(name: str, bubbly: Dataset, tmp_path: Path) -> None:
     plugin = load("solvers", name)

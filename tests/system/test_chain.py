@@ -80,15 +80,6 @@ def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
     np.testing.assert_array_equal(few.particles(0).position_mm, many.particles(0).position_mm)
 
 
-def test_truth_is_perfect_and_empty_is_the_floor(quick: Dataset) -> None:
-    best = sabench.score(quick, "truth")
-    assert best["q"] == pytest.approx(1.0, abs=1e-12)
-    keys = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
-    assert [best[key] for key in keys] == [100.0, 0.0, 1.0, 1.0, 0.0]
-    floor = sabench.score(quick, "empty")
-    assert [floor[key] for key in ("q", *keys)] == [0.0] * 5 + [None]
-
-
 @pytest.mark.slow
 def test_both_solvers_find_particles(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     multiplicative = sabench.score(quick, quick_result)
