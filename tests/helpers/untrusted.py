@@ -75,14 +75,11 @@ flow = { generator = "shear_wave", amplitude_mm_s = 5.0, wavelength_mm = 8.0 }
 timing = { rate_hz = 10.0, pulses_s = [0.0, 0.001] }
 occluders = [{ center_mm = [10.0, 0.0, -20.0], radius_mm = 1.0 }]
 calibration = { shift_px = 0.5, unknown = ["k1", "principal_point"] }
+preprocessing = [
+  { step = "sliding_minimum", window_px = 5 },
+  { step = "gaussian", reach_px = 2, sigma_px = 1.0 },
+]
 render = { samples_per_pixel = 4 }
-[[preprocessing]]
-step = "sliding_minimum"
-window_px = 5
-[[preprocessing]]
-step = "gaussian"
-reach_px = 2
-sigma_px = 1.0
 """)
 _THREE = {"kind": "grid", "columns": 3, "rows": 1, "spacing_mm": [240.0, 240.0]}
 TARGETS: dict[str, Any] = {

@@ -51,6 +51,12 @@ solvers = [{ name = "behind" }, { name = "behind_alone" }, { name = "outside" }]
 SCENE = calibration_scene(frames=3)
 
 
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("boards") / "data"
+    return sabench.generate(SCENE, folder, seed=1, backend="splat")
+
+
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "plugins" / "solvers"

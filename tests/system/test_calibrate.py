@@ -165,6 +165,37 @@ def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
 LINES = ("camera,frame,point,column,row", "camera_00,0,0,1.5,2.5")
 
 
+@pytest.mark.parametrize(
+    ("lines", "changes", "key"),
+    [
+        (LINES, None, "calibration.toml"),
+        (LINES, ("pitch_mm", "pich_mm"), "calibration.toml: target.pich_mm"),
+        (LINES, ("[wall]", "[wall]\npoint_mm = [0.0, 0.0, -900.0]"), "camera camera_00"),
+        (("camera,frame,point,x,y", LINES[1]), (), "points.csv"),
+        ((*LINES, "camera_00,0,one,1,1"), (), "points.csv: line 3: point"),
+        ((*LINES, "camera_77,0,1,1,1"), (), "points.csv: line 3"),
+        ((*LINES, LINES[1]), (), "camera_00, frame 0"),
+        ((), (), "images"),
+        (LINES, (), "camera_01"),
+    ],
+    ids=["configuration", "key", "wall", "header", "number", "camera", "twice", "images", "few"],
+)
+def test_a_fault_is_one_sentence(
+    command: Command, tmp_path: Path, lines: tuple[str, ...], changes: Any, key: str
+) -> None:
+    scene, folder = calibration_scene(), tmp_path / "mine"
+    describe(scene, folder, build_rig(scene).cameras)
+    text = (folder / "calibration.toml").read_text()
+    if changes is None:
+        (folder / "calibration.toml").unlink()
+    elif changes:
+        (folder / "calibration.toml").write_text(text.replace(*changes))
+    if lines:
+        (folder / "points.csv").write_text("\n".join(lines) + "\n")
+    refuse(command("calibrate", "mine"), key)
+    assert not (folder / "result").exists()
+
+
 Y_UP = np.diag([1.0, -1.0, -1.0])  # Y up, Z towards the cameras
 NO_CAMERAS: dict[str, Any] = {"array": None, "cameras": None, "target_mm": [0.0, 0.0, 70.0]}
 HEAD = ["camera", "frame", "point", "column", "row"]

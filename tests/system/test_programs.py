@@ -292,6 +292,15 @@ def test_a_private_data_set_is_not_disclosed(
 
 
 @pytest.mark.slow
+def test_a_recorded_seed_is_public(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+    root, board = Path(shutil.copytree(quick.root, tmp_path / "copy")), tmp_path / "board"
+    seed = make_private(root, 77).manifest.seed
+    recorded(quick, board, scene="mine", dataset="of another machine", seed=seed, renderer="splat")
+    (standing,) = submit(quick_result, "Ann", [root], board)
+    assert standing.record.items() >= {"scene": "quick", "seed": 77, "split": "public"}.items()
+
+
+@pytest.mark.slow
 def test_later_submissions_replace_none(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     board, day = tmp_path / "board", datetime.date(2026, 1, 2)
     submit(quick_result, "Ann", [quick.root], board, date=day)
