@@ -119,7 +119,7 @@ def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
     # turned about the normal, which one known point leaves open
     assert true_error_px(made, points, exact) < 40.0
     assert (tmp_path / "mine/result/errors.png").read_bytes().startswith(b"\x89PNG")
-    refuse(command("calibrate", "mine"), "result")
+    assert command("calibrate", "mine").returncode == 2  # the result is there
     again = succeed(command("calibrate", "mine", "--overwrite"))
     assert "expected true error" in again.stdout
 
@@ -326,7 +326,6 @@ def test_a_target_of_any_shape_moves(command: Command, tmp_path: Path) -> None:
         ("--unknowns wall", {}, "wall"),
         ("--solver refractive_autocal_alternating --unknowns k1,bend", {}, "bend"),
         ("-p thicknesses=[3]", {}, "thicknesses"),
-        ("", {"target": None}, "points.csv: line 2"),
         ("", {"target_points": "x.csv"}, "target_points"),
         ("", {"known": [{"frame": 9, "z_mm": 1.0}]}, "known.0"),
         ("", {"up": [0.0, 0.0, 0.0]}, "up"),

@@ -27,10 +27,11 @@ from sabench.images.tiff_exr import write_exr, write_tiff
 from sabench.simulation.pipeline import generate
 from sabench.tasks.conformance import example
 from sabench.tasks.solve_and_score import score, solve
+from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
 from tests.conftest import ROOT, Command
 from tests.helpers.commands import refuse, succeed
-from tests.helpers.refusals import check_sentence, refused
+from tests.helpers.refusals import refused
 from tests.helpers.untrusted import reseal
 from tests.system.test_conformance import ONE_OF_EACH
 
@@ -98,7 +99,7 @@ def test_results_of_other_copies_and_records_meet(
     (tmp_path / "sent").mkdir()
     for result in (own, there / "msa.h5"):
         shutil.copy(result, tmp_path / "sent" / f"{result.parent.name}.h5")
-    with refused("sent"):
+    with pytest.raises(InputError):  # two results of copies of one data set
         submit(tmp_path / "sent", "Ann", [here.root, there], board)
 
 
@@ -162,7 +163,7 @@ def test_an_identity_follows_from_what_defines_the_data(here: Dataset, tmp_path:
     copy = Path(shutil.copytree(here.root, tmp_path / "copy"))
     manifest = json.loads((copy / schema.MANIFEST).read_text())
     (copy / schema.MANIFEST).write_text(schema.seal(manifest | {"seed": 2}), encoding="utf-8")
-    check_sentence(verify(copy)[0], "identity")
+    assert "identity" in verify(copy)[0]
     (copy / schema.MANIFEST).write_text(schema.seal(manifest), encoding="utf-8")
     assert verify(copy) == []
 
@@ -223,7 +224,7 @@ def test_the_whole_is_packed_and_is_there_once(quick: Dataset, tmp_path: Path) -
     with refused("whole"):
         pack(quick, whole, blind=True)
     seen = open_dataset(pack(quick, tmp_path / "seen", blind=True))
-    for name in seen.manifest.files:  # a program that writes there spoils its own copy
+    for name in seen.contents.files:  # a program that writes there spoils its own copy
         assert not (seen.root / name).samefile(quick.root / name)
     with refused("seen"):
         pack(seen, tmp_path / "again", blind=False)

@@ -452,6 +452,7 @@ def scores_of(recording: Dataset, place: Path, claim: Claim) -> dict[str, Any]:
     return score(recording, place)
 
 
+@pytest.mark.slow
 def test_other_numbers_cost_nothing_between_groups_and_all_links_between_pulses(
     recording: Dataset, tmp_path: Path
 ) -> None:
