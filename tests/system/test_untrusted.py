@@ -126,11 +126,11 @@ def test_errors_are_one_line_whatever_they_quote() -> None:
 def test_deep_and_broken_text(tmp_path: Path) -> None:
     deep = tmp_path / "deep.json"
     deep.write_text("[" * 100_000)
-    with refused("deep.json"):
+    with pytest.raises(InputError, match=r"deep\.json"):  # the parser's words are Python's
         read_json(deep)
     for name, load in (("scene.toml", load_scene), ("suite.toml", load_suite)):
         (tmp_path / name).write_text("x = " + "[" * 100_000)
-        with refused(name):
+        with pytest.raises(InputError, match=name):
             load(tmp_path / name)
     assert canonical_json({"a": json.loads('"\\ud800"')}) == '{\n "a": "?"\n}\n'
 
