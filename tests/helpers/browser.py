@@ -31,10 +31,9 @@ class Browser:
         self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         self._base = f"http://127.0.0.1:{port}/session"
         options = {"binary": binary, "args": [*_FLAGS, f"--user-data-dir={profile}"]}
-        wanted = {
-            "alwaysMatch": {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
-        }
-        self._base += "/" + self.send("POST", "", {"capabilities": wanted})["sessionId"]
+        own = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
+        wanted = {"capabilities": {"alwaysMatch": own}}
+        self._base += "/" + self.send("POST", "", wanted)["sessionId"]
 
     def send(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
         data = None if body is None else json.dumps(body).encode()
@@ -62,13 +61,8 @@ class Browser:
         return found
 
     def open(self, page: Path, fragment: str = "", width: int = 1200) -> None:
-        self.devtools(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=900,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        self.devtools("Emulation.setDeviceMetricsOverride", **size)
         for address in ("about:blank", page.as_uri() + fragment):
             self.send("POST", "/url", {"url": address})
             self._wait_for(address.partition("#")[0])
@@ -86,9 +80,8 @@ class Browser:
         return self.send("POST", "/execute/sync", {"script": f"return {script};", "args": []})
 
     def _find(self, path: str) -> str:
-        return str(
-            next(iter(self.send("POST", "/element", {"using": "xpath", "value": path}).values()))
-        )
+        found = self.send("POST", "/element", {"using": "xpath", "value": path})
+        return str(next(iter(found.values())))
 
     def count(self, selector: str) -> int:
         return int(self.ask(f"document.querySelectorAll('{selector}').length"))
@@ -98,29 +91,17 @@ class Browser:
         return list(self.ask(found))
 
     def press(self, path: str, key: str | None = None) -> None:
-        self.send(
-            "POST",
-            f"/element/{self._find(path)}/" + ("click" if key is None else "value"),
-            {} if key is None else {"text": key},
-        )
+        element = f"/element/{self._find(path)}"
+        if key is None:
+            self.send("POST", f"{element}/click", {})
+        else:
+            self.send("POST", f"{element}/value", {"text": key})
 
     def hover(self, path: str) -> None:
         target = {"element-6066-11e4-a52e-4f735466cecf": self._find(path)}
         move = {"type": "pointerMove", "duration": 0, "x": 0, "y": 0, "origin": target}
-        self.send(
-            "POST",
-            "/actions",
-            {
-                "actions": [
-                    {
-                        "type": "pointer",
-                        "id": "mouse",
-                        "parameters": {"pointerType": "mouse"},
-                        "actions": [move],
-                    }
-                ]
-            },
-        )
+        mouse = {"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}}
+        self.send("POST", "/actions", {"actions": [mouse | {"actions": [move]}]})
 
     def wait(self, script: str) -> None:
         look = (

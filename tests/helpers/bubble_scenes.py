@@ -48,6 +48,31 @@ def small(**changes: Any) -> Scene:
     )
 
 
+def few_pixels(rows: int, columns: int, pixel_mm: float) -> dict[str, Any]:
+    """Two cameras of few pixels, for tests that do not look at images."""
+    size = {"rows": rows, "columns": columns, "pixel_mm": pixel_mm}
+    lens = {"focal_length_mm": 50.0, "f_number": 11.0, "center_mm": [0.0, 0.0, -520.0]}
+    return {**size, **lens, "layout": {"kind": "line", "count": 2, "spacing_mm": 120.0}}
+
+
+PLATE = {
+    "generator": "code_plate",
+    "columns": 6,
+    "rows": 5,
+    "cell_mm": 2.0,
+    "place_mm": [0.0, 0.0, 66.0],
+    "material": {"reflectance": 0.0},
+}
+CURTAIN = {
+    "generator": "bubble_field",
+    "count": 14,
+    "radius_mm": 1.2,
+    "radius_spread": 0.1,
+    "radius_range_mm": [0.9, 1.6],
+    "low_mm": [-9.0, -8.0, 28.0],
+    "high_mm": [9.0, 8.0, 40.0],
+}
+VOLUME = {"center_mm": [0.0, 0.0, 48.0], "size_mm": [24.0, 18.0, 40.0]}
 LASER = {
     "pulse_energy_mj": 200.0,
     "direction": [1.0, 0.0, 0.0],

@@ -1,5 +1,7 @@
 """Arrays and boards that the tests of calibrations share."""
 
+import csv
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ from sabench.algorithms.calibration.bundle_adjustment import BoardImages, residu
 from sabench.algorithms.calibration.parameters import State
 from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.utils.arrays import F64
@@ -66,3 +69,12 @@ def true_error_px(cameras: Any, points_mm: F64, exact: F64) -> float:
     flat = points_mm.reshape(-1, 3)
     again = np.stack([camera.project(flat)[0] for camera in cameras]).reshape(exact.shape)
     return float(np.nanmean(np.linalg.norm(again - exact, axis=-1)))
+
+
+def write_points(path: Path, pixels: F64, cameras: tuple[CameraModel, ...]) -> None:
+    """Write found points (camera, frame, point, 2) as `sabench calibrate` reads them."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["camera", "frame", "point", "column", "row"])
+        for c, k, i in np.argwhere(np.isfinite(pixels[..., 0])).tolist():
+            writer.writerow([cameras[c].name, k, i, *pixels[c, k, i]])

@@ -9,11 +9,13 @@ from sabench.algorithms.calibration.resection import place_boards
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.api.truth import Target
-from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.utils.arrays import F64, triple
+from tests.helpers.cameras import ALONG_Z, make_camera
+from tests.helpers.small_particles import rotate_cameras
 
 BOARD = Target("checkerboard", 6, 5, 10.0, 0.0)
 MIDDLE = np.array([0.0, 0.0, 70.0])
@@ -74,37 +76,24 @@ def solve(case: CalibrationCase, **parameters: Any) -> Calibration:
 def rotated(case: CalibrationCase, rotation: F64) -> CalibrationCase:
     return replace(
         case,
-        cameras=tuple(_rotate(camera, rotation) for camera in case.cameras),
+        cameras=rotate_cameras(case.cameras, rotation),
         initial_mm=case.initial_mm @ rotation.T,
         known_mm=case.known_mm @ rotation.T,
     )
 
 
-def _rotate(camera: Camera, rotation: F64) -> Camera:
-    axes = np.asarray(camera.rotation) @ rotation.T
-    wall = camera.wall
-    assert isinstance(wall, Wall)
-    turned: Any = {"rotation": (triple(axes[0]), triple(axes[1]), triple(axes[2]))}
-    turned["center_mm"] = triple(rotation @ np.asarray(camera.center_mm))
-    normal, point = (triple(rotation @ np.asarray(v)) for v in (wall.normal, wall.point_mm))
-    return replace(camera, **turned, wall=replace(wall, normal=normal, point_mm=point))
-
-
 def _camera(number: int, center: tuple[float, float, float], k1: float) -> Camera:
-    return aim(
-        Camera(
-            name=f"camera_{number:02d}",
-            rows=800,
-            columns=900,
-            center_mm=center,
-            rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
-            principal_distance_mm=50.0 + number,
-            pixel_mm=0.01,
-            principal_point_px=(449.5, 399.5),
-            distortion=Distortion(k1=k1),
-            focal_length_mm=50.0,
-            f_number=11.0,
-            wall=WALL,
-        ),
-        MIDDLE + np.array([3.0, -2.0, 5.0]),
+    camera = make_camera(
+        name=f"camera_{number:02d}",
+        rows=800,
+        columns=900,
+        center_mm=center,
+        rotation=ALONG_Z,
+        principal_distance_mm=50.0 + number,
+        principal_point_px=(449.5, 399.5),
+        distortion=Distortion(k1=k1),
+        focal_length_mm=50.0,
+        f_number=11.0,
+        wall=WALL,
     )
+    return aim(camera, MIDDLE + np.array([3.0, -2.0, 5.0]))

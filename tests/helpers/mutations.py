@@ -7,6 +7,7 @@ import math
 import random
 import struct
 import tarfile
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -58,13 +59,8 @@ def _changed(root: Any, rng: random.Random) -> Any:
 
 
 def _places(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    inner = (
-        value.items()
-        if isinstance(value, dict)
-        else enumerate(value)
-        if isinstance(value, list)
-        else ()
-    )
+    inner: Any = value.items() if isinstance(value, dict) else ()
+    inner = enumerate(value) if isinstance(value, list) else inner
     return [at, *(place for key, part in inner for place in _places(part, (*at, key)))]
 
 
@@ -82,22 +78,13 @@ def _other(value: Any, rng: random.Random) -> Any:
     if isinstance(value, int | float):
         if rng.random() < 0.5:
             return rng.choice(NUMBERS)
-        return value * rng.choice((0, -1, 2, 0.5, 1e-9, 1e-3, 1000, 10**6, 10**12)) + rng.choice(
-            (0, 0, 1, -1, 0.5)
-        )
+        factor = rng.choice((0, -1, 2, 0.5, 1e-9, 1e-3, 1000, 10**6, 10**12))
+        return value * factor + rng.choice((0, 0, 1, -1, 0.5))
     if isinstance(value, str):
         return rng.choice(TEXTS) if rng.random() < 0.5 else _typo(value, rng)
     if isinstance(value, list):
-        return rng.choice(
-            (
-                [],
-                value[::-1],
-                value * 2,
-                value[:-1],
-                value * 2000 if len(value) < 10 else value,
-                [value],
-            )
-        )
+        many = value * 2000 if len(value) < 10 else value
+        return rng.choice(([], value[::-1], value * 2, value[:-1], many, [value]))
     return {} if isinstance(value, dict) else odd(rng)
 
 
@@ -105,18 +92,14 @@ def odd(rng: random.Random) -> Any:
     deep: Any = 1
     for _ in range(rng.choice((3, 3, 200))):
         deep = [deep]
-    return rng.choice(
-        (*NUMBERS, *TEXTS, None, [], {}, deep, {"a": {"b": 1}}, [1, "x", None], list(range(1000)))
-    )
+    others = (None, [], {}, deep, {"a": {"b": 1}}, [1, "x", None], list(range(1000)))
+    return rng.choice((*NUMBERS, *TEXTS, *others))
 
 
 def _typo(text: str, rng: random.Random) -> str:
     at = rng.randrange(len(text) + 1)
-    return (
-        text[:at]
-        + rng.choice(("", "x", "\n", ".", "é", '"', "_", "0"))
-        + text[at + rng.randrange(2) :]
-    )
+    other = rng.choice(("", "x", "\n", ".", "é", '"', "_", "0"))
+    return text[:at] + other + text[at + rng.randrange(2) :]
 
 
 def data(whole: bytes, rng: random.Random, head: int = 4096) -> bytes:
@@ -131,14 +114,11 @@ def data(whole: bytes, rng: random.Random, head: int = 4096) -> bytes:
         if how < 0.4:
             made[at] ^= 1 << rng.randrange(8)
         elif how < 0.55:
-            made[at : at + 4] = struct.pack(
-                "<I",
-                rng.choice((0, 1, 0x7FFFFFFF, 0xFFFFFFFF, 0x80000000, 65535, rng.randrange(2**32))),
-            )
+            word = (0, 1, 0x7FFFFFFF, 0xFFFFFFFF, 0x80000000, 65535, rng.randrange(2**32))
+            made[at : at + 4] = struct.pack("<I", rng.choice(word))
         elif how < 0.65:
-            made[at : at + 8] = struct.pack(
-                "<Q", rng.choice((0, 2**63, 2**64 - 1, 2**40, rng.randrange(len(made))))
-            )
+            long = (0, 2**63, 2**64 - 1, 2**40, rng.randrange(len(made)))
+            made[at : at + 8] = struct.pack("<Q", rng.choice(long))
         elif how < 0.75:
             made[at:at] = rng.randbytes(rng.randrange(1, 40))
         elif how < 0.85:
@@ -187,9 +167,8 @@ def _bomb(file: Any, name: str, rng: random.Random) -> None:
     last = file[name].shape[-1] if rank > 1 else 10**9
     del file[name]
     shape = (rng.choice((10**6, 10**8, 10**10)), *(3,) * (rank - 2), last)[: max(rank, 1)]
-    file.create_dataset(
-        name, shape, "f8", chunks=tuple(min(n, 1000) for n in shape), compression="gzip"
-    )
+    chunks = tuple(min(n, 1000) for n in shape)
+    file.create_dataset(name, shape, "f8", chunks=chunks, compression="gzip")
 
 
 def _large_chunk(file: Any, name: str, rng: random.Random) -> None:
@@ -255,14 +234,11 @@ def _odd_values(file: Any, name: str, rng: random.Random) -> None:
     if node.dtype.kind not in "iuf" or not node.size:
         return
     values = node[...].reshape(-1)
-    low, high = (
-        (np.iinfo(values.dtype).min, np.iinfo(values.dtype).max)
-        if values.dtype.kind in "iu"
-        else (-np.inf, np.inf)
-    )
-    chosen: tuple[Any, ...] = (0, 1, low, high, -1 if values.dtype.kind != "u" else 1)
-    if values.dtype.kind == "f":
-        chosen = (np.nan, np.inf, -np.inf, 0.0, -0.0, -1.0, 1e-40, 1e30, -1e30, 1e9, 3e38)
+    chosen: tuple[Any, ...] = (np.nan, np.inf, -np.inf, 0.0, -0.0, -1.0, 1e-40, 1e30, -1e30)
+    chosen = (*chosen, 1e9, 3e38)
+    if values.dtype.kind in "iu":
+        ends = np.iinfo(values.dtype)
+        chosen = (0, 1, ends.min, ends.max, -1 if values.dtype.kind == "i" else 1)
     if rng.random() < 0.3:
         values[:] = rng.choice(chosen)
     else:
@@ -273,15 +249,9 @@ def _odd_values(file: Any, name: str, rng: random.Random) -> None:
 
 def _a_link(file: Any, name: str, rng: random.Random) -> None:
     del file[name]
-    file[name] = rng.choice(
-        (
-            h5py.SoftLink("/"),
-            h5py.SoftLink("/nowhere"),
-            h5py.SoftLink(f"/{name}"),
-            h5py.ExternalLink("/etc/passwd", "/x"),
-            h5py.ExternalLink(file.filename, f"/{name}"),
-        )
-    )
+    soft = [h5py.SoftLink(one) for one in ("/", "/nowhere", f"/{name}")]
+    outside = [("/etc/passwd", "/x"), (file.filename, f"/{name}")]
+    file[name] = rng.choice((*soft, *(h5py.ExternalLink(*one) for one in outside)))
 
 
 def _a_group(file: Any, name: str, rng: random.Random) -> None:
@@ -319,9 +289,8 @@ def _odd_attribute(file: Any, _: str, rng: random.Random) -> None:
     file.attrs.pop(name, None)
     if rng.random() < 0.9:
         value = rng.choice(made)
-        file.attrs.create(name, value) if not isinstance(
-            value, str
-        ) or "\x00" not in value else file.attrs.create(name, np.bytes_(value))
+        odd_text = isinstance(value, str) and "\x00" in value
+        file.attrs.create(name, np.bytes_(value) if odd_text else value)
 
 
 def _new_attribute(file: Any, _: str, rng: random.Random) -> None:
@@ -336,12 +305,9 @@ _CHANGES: tuple[Change, ...] = (
 
 
 def tiff(path: Path, rng: random.Random) -> None:
-    shape = rng.choice(
-        ((24, 32), (24, 32), (32, 24), (24, 32, 3), (2, 24, 32), (1, 1), (3000, 3000))
-    )
-    image = np.full(shape, rng.choice((0, 64, 4095, 65535))).astype(
-        rng.choice(("u2", "u2", "u1", "f4", "i2"))
-    )
+    shapes = ((24, 32), (24, 32), (32, 24), (24, 32, 3), (2, 24, 32), (1, 1), (3000, 3000))
+    image = np.full(rng.choice(shapes), rng.choice((0, 64, 4095, 65535)))
+    image = image.astype(rng.choice(("u2", "u2", "u1", "f4", "i2")))
     compression = rng.choice((None, None, "zlib"))
     predictor = compression is not None and image.dtype.kind in "iu" and rng.random() < 0.5
     tifffile.imwrite(
@@ -362,9 +328,8 @@ def exr(path: Path, rng: random.Random) -> None:
     shape = rng.choice(((24, 32), (24, 32), (24, 32), (32, 24), (1, 1), (2000, 2000)))
     image = np.full(shape, 1.0, dtype=rng.choice(("f4", "f4", "f4", "f2", "u4")))
     if image.dtype.kind == "f" and rng.random() < 0.5:
-        image[0, : rng.randrange(1, shape[1] + 1)] = rng.choice(
-            (np.nan, np.inf, -np.inf, -1.0, -0.0, 6e4)
-        )
+        values = (np.nan, np.inf, -np.inf, -1.0, -0.0, 6e4)
+        image[0, : rng.randrange(1, shape[1] + 1)] = rng.choice(values)
     kinds = (OpenEXR.ZIP_COMPRESSION, OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION)
     head = {"compression": rng.choice(kinds), "type": OpenEXR.scanlineimage}
     names = rng.choice((("Y",), ("Y",), ("Y", "Z"), ("R",)))
@@ -399,16 +364,14 @@ def hdf5(path: Path, rng: random.Random) -> None:
     with h5py.File(path, "r+") as file:
         for _ in range(rng.choice((1, 1, 2))):
             names: list[str] = []
-            file.visititems(
-                lambda name, node, into=names: (
+
+            def note(name: str, node: Any, into: list[str] = names) -> None:
+                if isinstance(node, h5py.Dataset) and _is_small(node):
                     into.append(name)
-                    if isinstance(node, h5py.Dataset) and _is_small(node)
-                    else None
-                )
-            )
-            with contextlib.suppress(
-                OSError
-            ):  # what the first change broke cannot be changed again
+
+            file.visititems(note)
+            # what the first change broke cannot be changed again
+            with contextlib.suppress(OSError):
                 rng.choice(_CHANGES)(file, rng.choice(names), rng) if names else None
     if rng.random() < 0.05:
         path.write_bytes(data(path.read_bytes(), rng))
@@ -436,26 +399,13 @@ def _name(rng: random.Random) -> str:
 
 
 def _content(files: list[bytes], rng: random.Random) -> bytes:
-    return rng.choice(
-        (
-            *files,
-            *files,
-            b"",
-            b"\x89HDF\r\n\x1a\n" + b"\0" * 100,
-            bytes(3_000_000 if rng.random() < 0.2 else 30),
-        )
-    )
+    zeros = bytes(3_000_000 if rng.random() < 0.2 else 30)
+    return rng.choice((*files, *files, b"", b"\x89HDF\r\n\x1a\n" + b"\0" * 100, zeros))
 
 
 def _zip(path: Path, files: list[bytes], rng: random.Random) -> None:
-    import warnings
-
-    with (
-        warnings.catch_warnings(),
-        zipfile.ZipFile(
-            path, "w", rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA))
-        ) as made,
-    ):
+    kind = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA))
+    with warnings.catch_warnings(), zipfile.ZipFile(path, "w", kind) as made:
         warnings.simplefilter("ignore")  # of names that are there twice
         for _ in range(rng.choice((0, 1, 1, 2, 4))):
             info = zipfile.ZipInfo(_name(rng) or "x.h5")
@@ -475,8 +425,6 @@ def _tar(path: Path, files: list[bytes], rng: random.Random) -> None:
                 info.type = getattr(tarfile, rng.choice(kinds))
                 info.linkname, info.size = rng.choice(("/etc/passwd", "../x", "a.h5")), 0
             if rng.random() < 0.05:
-                info.pax_headers = {
-                    "comment": "x" * rng.choice((10, 20_000_000)),
-                    "size": rng.choice(("1", "99999999999", "-5")),
-                }
+                info.pax_headers = {"comment": "x" * rng.choice((10, 20_000_000))}
+                info.pax_headers["size"] = rng.choice(("1", "99999999999", "-5"))
             made.addfile(info, io.BytesIO(content))

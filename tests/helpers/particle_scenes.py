@@ -8,25 +8,21 @@ import numpy as np
 import pytest
 
 from sabench.api.truth import Particles
-from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.lens import Distortion
+from sabench.geometry.camera import Camera, aim
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.focusing import focus
 from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, I64
+from tests.helpers.cameras import ALONG_Z, make_camera
 
 
 def make_scene(**changes: dict[str, Any] | None) -> Scene:
     values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
     values["cameras"] |= {"rows": 110, "columns": 170}
-    values["illumination"] |= {
-        "pulse_energy_mj": 20.0,
-        "thickness_mm": 30.0,
-        "height_mm": 20.0,
-        "scattering": "isotropic",
-    }
+    values["illumination"] |= {"pulse_energy_mj": 20.0, "thickness_mm": 30.0}
+    values["illumination"] |= {"height_mm": 20.0, "scattering": "isotropic"}
     for table, update in changes.items():
         if update is None:
             del values[table]
@@ -74,18 +70,14 @@ def spots(pixels: F64, photons: F64, sigma: F64) -> ParticleImages:
     return ParticleImages(pixels, photons, sigma, seen, np.zeros(count), zero, spread)
 
 
-SMALL = Camera(
-    name="camera_00",
+SMALL = make_camera(
     rows=40,
     columns=60,
     center_mm=(0.0, 0.0, 0.0),
-    rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+    rotation=ALONG_Z,
     principal_distance_mm=50.0,
-    pixel_mm=0.01,
     principal_point_px=(29.5, 19.5),
-    distortion=Distortion(),
     focal_length_mm=50.0,
-    f_number=8.0,
 )
 
 

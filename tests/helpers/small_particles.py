@@ -27,7 +27,7 @@ def make_small(
     values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 6.5}
     values["particles"]["per_pixel"] = per_pixel
     for table, update in changes.items():
-        values[table] = values[table] | update
+        values[table] = values.get(table, {}) | update if isinstance(update, dict) else update
     return simulate(parse_scene(values, "small"), seed=seed)
 
 

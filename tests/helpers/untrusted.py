@@ -31,111 +31,89 @@ from sabench.tasks.solve_and_score import run_plug_in, score, solve
 from sabench.utils.errors import InputError
 from sabench.utils.files import sha256
 from tests.helpers import mutations, untrusted_files
-from tests.helpers.bubble_scenes import small
+from tests.helpers.bubble_scenes import CURTAIN, PLATE, VOLUME, few_pixels, small
 
-SCENE: dict[str, Any] = {
-    "title": "tiny",
-    "frames": 2,
-    "volume": {"center_mm": [0.0, 0.0, 30.0], "size_mm": [3.0, 2.0, 1.0]},
-    "grid": {"voxel_mm": [0.1, 0.1, 0.2], "crop_mm": [0.2, 0.1, 0.0]},
-    "wall": {
-        "point_mm": [0.0, 0.0, 0.0],
-        "normal": [0.0, 0.0, 1.0],
-        "fluid_index": 1.333,
-        "layers": [{"index": 1.52, "thickness_mm": 5.0}],
-    },
-    "cameras": {
-        "rows": 24,
-        "columns": 32,
-        "pixel_mm": 0.02,
-        "focal_length_mm": 85.0,
-        "f_number": 16.0,
-        "center_mm": [0.0, 0.0, -490.0],
-        "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]},
-    },
-    "illumination": {
-        "pulse_energy_mj": 60.0,
-        "direction": [1.0, 0.0, 0.0],
-        "sheet_normal": [0.0, 0.0, 1.0],
-        "thickness_mm": 5.0,
-        "height_mm": 20.0,
-        "scattering": "isotropic",
-    },
-    "particles": {"generator": "uniform", "count": 8, "diameter_mm": 0.02, "diameter_spread": 0.1},
-    "sensor": {
-        "read_noise_e": 6.0,
-        "full_well_e": 18000.0,
-        "gain_dn_e": 0.22,
-        "black_level_dn": 64.0,
-        "bit_depth": 12,
-    },
-}
-EXTRAS: dict[str, Any] = {
-    "flow": {"generator": "shear_wave", "amplitude_mm_s": 5.0, "wavelength_mm": 8.0},
-    "timing": {"rate_hz": 10.0, "pulses_s": [0.0, 0.001]},
-    "occluders": [{"center_mm": [10.0, 0.0, -20.0], "radius_mm": 1.0}],
-    "calibration": {"shift_px": 0.5, "unknown": ["k1", "principal_point"]},
-    "preprocessing": [
-        {"step": "sliding_minimum", "window_px": 5},
-        {"step": "gaussian", "reach_px": 2, "sigma_px": 1.0},
-    ],
-    "render": {"samples_per_pixel": 4},
-}
+SCENE = tomllib.loads("""
+title = "tiny"
+frames = 2
+volume = { center_mm = [0.0, 0.0, 30.0], size_mm = [3.0, 2.0, 1.0] }
+grid = { voxel_mm = [0.1, 0.1, 0.2], crop_mm = [0.2, 0.1, 0.0] }
+[wall]
+point_mm = [0.0, 0.0, 0.0]
+normal = [0.0, 0.0, 1.0]
+fluid_index = 1.333
+layers = [{ index = 1.52, thickness_mm = 5.0 }]
+[cameras]
+rows = 24
+columns = 32
+pixel_mm = 0.02
+focal_length_mm = 85.0
+f_number = 16.0
+center_mm = [0.0, 0.0, -490.0]
+layout = { kind = "grid", columns = 2, rows = 1, spacing_mm = [240.0, 240.0] }
+[illumination]
+pulse_energy_mj = 60.0
+direction = [1.0, 0.0, 0.0]
+sheet_normal = [0.0, 0.0, 1.0]
+thickness_mm = 5.0
+height_mm = 20.0
+scattering = "isotropic"
+[particles]
+generator = "uniform"
+count = 8
+diameter_mm = 0.02
+diameter_spread = 0.1
+[sensor]
+read_noise_e = 6.0
+full_well_e = 18000.0
+gain_dn_e = 0.22
+black_level_dn = 64.0
+bit_depth = 12
+""")
+EXTRAS = tomllib.loads("""
+flow = { generator = "shear_wave", amplitude_mm_s = 5.0, wavelength_mm = 8.0 }
+timing = { rate_hz = 10.0, pulses_s = [0.0, 0.001] }
+occluders = [{ center_mm = [10.0, 0.0, -20.0], radius_mm = 1.0 }]
+calibration = { shift_px = 0.5, unknown = ["k1", "principal_point"] }
+preprocessing = [
+  { step = "sliding_minimum", window_px = 5 },
+  { step = "gaussian", reach_px = 2, sigma_px = 1.0 },
+]
+render = { samples_per_pixel = 4 }
+""")
+_THREE = {"kind": "grid", "columns": 3, "rows": 1, "spacing_mm": [240.0, 240.0]}
 TARGETS: dict[str, Any] = {
     **{key: value for key, value in SCENE.items() if key not in ("particles", "illumination")},
     "title": "board",
     "frames": 4,
-    "cameras": {
-        **SCENE["cameras"],
-        "layout": {"kind": "grid", "columns": 3, "rows": 1, "spacing_mm": [240.0, 240.0]},
-    },
+    "cameras": {**SCENE["cameras"], "layout": _THREE},
     "targets": {"generator": "boards", "columns": 5, "rows": 4, "pitch_mm": 0.4},
     "detection": {"noise_px": 0.1},
 }
+_CURTAIN = {key: value for key, value in CURTAIN.items() if key != "radius_spread"}
 CODE: dict[str, Any] = {
-    "volume": {"center_mm": [0.0, 0.0, 48.0], "size_mm": [24.0, 18.0, 40.0]},
+    "volume": VOLUME,
     "grid": {"voxel_mm": [0.5, 0.5, 2.0]},
-    "bubbles": {
-        "generator": "bubble_field",
-        "count": 3,
-        "radius_mm": 1.2,
-        "radius_range_mm": [0.9, 1.6],
-        "low_mm": [-9.0, -8.0, 28.0],
-        "high_mm": [9.0, 8.0, 40.0],
-    },
-    "solids": [
-        {
-            "generator": "code_plate",
-            "columns": 6,
-            "rows": 5,
-            "cell_mm": 2.0,
-            "place_mm": [0.0, 0.0, 66.0],
-            "material": {"reflectance": 0.0},
-        }
-    ],
+    "bubbles": {**_CURTAIN, "count": 3},
+    "solids": [PLATE],
     "render": {"relative_error": 0.2},
-    "cameras": {
-        "rows": 36,
-        "columns": 48,
-        "pixel_mm": 0.06,
-        "focal_length_mm": 50.0,
-        "f_number": 11.0,
-        "center_mm": [0.0, 0.0, -520.0],
-        "layout": {"kind": "line", "count": 2, "spacing_mm": 120.0},
-    },
+    "cameras": few_pixels(36, 48, 0.06),
 }
-SUITE: dict[str, Any] = {
-    "title": "tiny suite",
-    "scenes": ["scene.toml"],
-    "seeds": [1, 2],
-    "backend": "splat",
-    "set": {"frames": 1},
-    "vary": {"particles.count": [3, 5]},
-    "solvers": [
-        {"name": "asa", "parameters": {"k": 3.0}},
-        {"name": "./program", "task": "reconstruction", "time_limit_s": 5.0},
-    ],
-}
+SUITE = tomllib.loads("""
+title = "tiny suite"
+scenes = ["scene.toml"]
+seeds = [1, 2]
+backend = "splat"
+set = { frames = 1 }
+vary = { "particles.count" = [3, 5] }
+[[solvers]]
+name = "asa"
+parameters = { k = 3.0 }
+[[solvers]]
+name = "./program"
+task = "reconstruction"
+time_limit_s = 5.0
+""")
 # work, as `steps_of` estimates it, of scenes that are generated and not only checked
 LARGEST_STEPS = 4e6
 
@@ -166,30 +144,13 @@ def make_base(root: Path) -> Base:
         for scene, name in ((SCENE, "particles"), (TARGETS, "target"))
     ]
     made.append(generate(small(**CODE), root / "code", seed=1))
-    record = {
-        "format": "sabench-record",
-        "version": 2,
-        "scene": "tiny",
-        "case": "tiny",
-        "axes": {"particles.count": 3},
-        "scene_hash": "a" * 64,
-        "dataset": made[0].content_hash,
-        "seed": 1,
-        "renderer": "splat",
-        "task": "reconstruction",
-        "solver": "asa",
-        "label": None,
-        "parameters": {"k": 3.0},
-        "run_hash": "b" * 64,
-        "submission": {"name": "Ann", "date": "2026-01-02"},
-        "versions": {"sabench": "1"},
-        "machine": {"cpu": "x", "cores": 2},
-        "pictures": "tiny",
-        "error": None,
-        "declined": False,
-        "q": 0.5,
-        "seconds": 1.0,
-    }
+    head = {"format": "sabench-record", "version": 2, "task": "reconstruction", "seed": 1}
+    case = {"scene": "tiny", "case": "tiny", "axes": {"particles.count": 3}, "renderer": "splat"}
+    hashes = {"scene_hash": "a" * 64, "dataset": made[0].content_hash, "run_hash": "b" * 64}
+    own = {"solver": "asa", "label": None, "parameters": {"k": 3.0}, "pictures": "tiny"}
+    sent = {"submission": {"name": "Ann", "date": "2026-01-02"}, "versions": {"sabench": "1"}}
+    end = {"machine": {"cpu": "x", "cores": 2}, "error": None, "declined": False}
+    record = {**head, **case, **hashes, **own, **sent, **end, "q": 0.5, "seconds": 1.0}
     files = untrusted_files.write_fields(root / "files")
     files |= untrusted_files.write_meshes(root / "files")
     files["baseline"] = untrusted_files.write_baseline(root / "files" / "tiny.json")
@@ -204,9 +165,8 @@ def make_base(root: Path) -> Base:
 def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
     rng = np.random.default_rng(1 + frame)
     if task == "bubbles":
-        balls = Detections.balls(
-            rng.random((5, 3)) + np.array([0.0, 0.0, 30.0]), rng.random(5) + 0.1
-        )
+        center_mm = rng.random((5, 3)) + np.array([0.0, 0.0, 30.0])
+        balls = Detections.balls(center_mm, rng.random(5) + 0.1)
         return replace(balls, trajectory=np.arange(5))
     if task == "velocimetry":
         valid = np.ones((2, 3, 4), dtype=bool)
@@ -260,10 +220,9 @@ def write_toml(path: Path, whole: dict[str, Any], rng: random.Random) -> None:
         path.write_bytes(mutations.data(tomli_w.dumps(whole).encode(), rng))
         return
     damaged = mutations.tree(whole, rng)
+    whole = damaged if isinstance(damaged, dict) else {"x": damaged}
     try:
-        text = tomli_w.dumps(
-            _without_none(damaged if isinstance(damaged, dict) else {"x": damaged}, [_MOST_VALUES])
-        )
+        text = tomli_w.dumps(_without_none(whole, [_MOST_VALUES]))
     except (TypeError, RecursionError):
         text = "x = " + "[" * 5000
     path.write_text(text, encoding="utf-8", errors="surrogatepass")
@@ -297,14 +256,12 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     the manifest has the damaged file's checksum."""
     source = rng.choice((base.particles, base.particles, base.target, base.code))
     root = Path(shutil.copytree(source.root, inputs / "set"))
-    name = rng.choice(
-        sorted(
-            path.relative_to(root).as_posix()
-            for path in root.rglob("*")
-            if (path.is_file() and path.suffix != ".exr") or rng.random() < 0.3
-        )
-    )
-    path = root / name
+    kept = [
+        path.relative_to(root).as_posix()
+        for path in root.rglob("*")
+        if (path.is_file() and path.suffix != ".exr") or rng.random() < 0.3
+    ]
+    path = root / rng.choice(sorted(kept))
     if path.is_dir():
         path = root / schema.CAMERAS
     _damage(path, rng)
@@ -330,9 +287,8 @@ def blind(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 def _damage(path: Path, rng: random.Random) -> None:
     if path.suffix == ".json" and rng.random() < 0.8:
-        text = json.dumps(
-            mutations.tree(json.loads(path.read_text()), rng), ensure_ascii=rng.random() < 0.9
-        )
+        damaged = mutations.tree(json.loads(path.read_text()), rng)
+        text = json.dumps(damaged, ensure_ascii=rng.random() < 0.9)
         path.write_text(text, encoding="utf-8", errors="surrogatepass")
     elif path.suffix == ".h5":
         mutations.hdf5(path, rng)
@@ -350,19 +306,17 @@ def reseal(root: Path) -> None:
     """Let the manifest, if it can still be read, say of all files what they are now."""
     try:
         manifest = json.loads((root / schema.MANIFEST).read_text())
-        names = sorted(
-            path.relative_to(root).as_posix()
-            for path in root.rglob("*")
-            if path.is_file() and path.name != schema.MANIFEST
-        )
         files = {
-            name: {"bytes": (root / name).stat().st_size, "sha256": sha256(root / name)}
-            for name in names
+            path.relative_to(root).as_posix(): {
+                "bytes": path.stat().st_size,
+                "sha256": sha256(path),
+            }
+            for path in sorted(root.rglob("*"))
+            if path.is_file() and path.name != schema.MANIFEST
         }
         entries = {name: schema.FileEntry(**entry) for name, entry in files.items()}
-        sealed = schema.seal(
-            {**manifest, "files": files, "content_hash": schema.content_hash(entries)}
-        )
+        new = {"files": files, "content_hash": schema.content_hash(entries)}
+        sealed = schema.seal({**manifest, **new})
     except (ValueError, TypeError, AttributeError, OSError, RecursionError):
         return
     (root / schema.MANIFEST).write_text(sealed, encoding="utf-8", errors="surrogatepass")
@@ -453,13 +407,8 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     return feed
 
 
-CARD = (
-    b"".join(
-        b'%s = "text"\n' % key.encode()
-        for key in ("solver", "paper", "code", "licence", "hardware")
-    )
-    + b'parameters = "none"\ntraining_data = "none"\n'
-)
+_KEYS = (b"solver", b"paper", b"code", b"licence", b"hardware", b"parameters", b"training_data")
+CARD = b"".join(b'%s = "text"\n' % key for key in _KEYS)
 
 
 def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
@@ -496,9 +445,9 @@ def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     folder.mkdir(parents=True)
     lines = [json.dumps(base.record)]
     for _ in range(rng.randrange(1, 4)):
-        line = json.dumps(mutations.tree(base.record, rng), ensure_ascii=rng.random() < 0.8).encode(
-            "utf-8", "surrogatepass"
-        )
+        damaged = mutations.tree(base.record, rng)
+        text = json.dumps(damaged, ensure_ascii=rng.random() < 0.8)
+        line = text.encode("utf-8", "surrogatepass")
         lines.append((mutations.data(line, rng) if rng.random() < 0.2 else line).decode("latin-1"))
     (folder / "a.jsonl").write_bytes(
         "\n".join(lines).encode("latin-1") + rng.choice((b"\n", b"", b"\n{"))

@@ -31,6 +31,7 @@ from sabench.utils.arrays import triple
 from sabench.worlds.bubbles_and_bodies import Phases
 from tests.helpers import mutations
 from tests.helpers.bubble_scenes import small
+from tests.helpers.calibration_cases import write_points
 
 _COUNTS = (5, 6, 7)  # nodes of fields along z, y, x
 _HALF_MM = (6.0, 6.0, 45.0)
@@ -58,12 +59,8 @@ def write_fields(folder: Path) -> dict[str, Path]:
     _write_vtkhdf(files["field.vtkhdf"], axes, parts)
     files |= _write_vtk(folder, axes, parts)
     time = np.tile(np.arange(4) * 0.1, 6)
-    rows = [
-        np.repeat(np.arange(6), 4),
-        time,
-        *(np.tile(axis[1:3], 12) + time for axis in axes.values()),
-    ]
-    table = np.column_stack(rows)
+    places = [np.tile(axis[1:3], 12) + time for axis in axes.values()]
+    table = np.column_stack([np.repeat(np.arange(6), 4), time, *places])
     files["tracks.csv"] = folder / "tracks.csv"
     names = "id,t [s],x [mm],y [mm],z [mm]"
     np.savetxt(files["tracks.csv"], table, delimiter=",", header=names, comments="")
@@ -239,35 +236,24 @@ def mesh(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def describe_calibration(data: Dataset, folder: Path) -> dict[str, Any]:
-    case, setup = data.calibration_case(), data.setup
-    wall, first = setup.wall, setup.pinholes[0]
-    assert wall is not None
+    case, first, place = data.calibration_case(), data.setup.pinholes[0], [0.0, 0.0, 30.0]
+    array = ("rows", "columns", "pixel_mm", "focal_length_mm", "principal_distance_mm")
     values = {
-        "target_mm": [0.0, 0.0, 30.0],
+        "target_mm": place,
         "target": {
             key: getattr(case.target, key) for key in ("pattern", "columns", "rows", "pitch_mm")
         },
-        "array": {
-            "rows": first.rows,
-            "columns": first.columns,
-            "pixel_mm": first.pixel_mm,
-            "focal_length_mm": first.focal_length_mm,
-            "principal_distance_mm": first.principal_distance_mm,
-        },
+        "array": {key: getattr(first, key) for key in array},
         "wall": {"fluid_index": 1.333, "layers": [{"index": 1.52, "thickness_mm": 5.0}]},
         "cameras": [
-            {"name": c.name, "center_mm": list(c.center_mm), "aim_mm": [0.0, 0.0, 30.0]}
-            for c in setup.cameras
+            {"name": c.name, "center_mm": list(c.center_mm), "aim_mm": place}
+            for c in data.setup.cameras
         ],
         "known": [{"frame": 0, "point": 0, "z_mm": 30.0}],
     }
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "calibration.toml").write_text(tomli_w.dumps(values))
-    with (folder / "points.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["camera", "frame", "point", "column", "row"])
-        for c, k, i in np.argwhere(np.isfinite(case.pixels[..., 0])).tolist():
-            writer.writerow([setup.cameras[c].name, k, i, *case.pixels[c, k, i]])
+    write_points(folder / "points.csv", case.pixels, data.setup.cameras)
     return values
 
 

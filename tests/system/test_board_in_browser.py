@@ -1,8 +1,10 @@
 """The leaderboard in a browser. It sorts, filters, plots and compares, runs no text of a record as
 code, and fits a phone."""
 
+import csv
+import io
+import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import pytest
 from sabench.evaluation.leaderboard import board
 from sabench.evaluation.record_schema import Record
 from sabench.utils.confidence import mean_of
-from tests.helpers.browser import Browser, chromium
+from tests.helpers.browser import Browser
 from tests.system.test_board import HOSTILE, draw, record
 
 SOLVERS = (
@@ -23,14 +25,10 @@ DRAWN = (
     "document.querySelectorAll('.plot').length > 0 && "
     "[...document.querySelectorAll('.plot')].every(plot => plot.dataset.drawn)"
 )
-LOG = "#view=table"
+LOG, CASE = "#view=table", "#view=case&case=tank-5c5c5c5c-splat"
 EVIL = '"><img src=x onerror="document.title=1">'
 # over seeds 1 to 3 of the standard case
-Q = {
-    "a": (0.50, 0.55, 0.52),
-    "b": (0.40, 0.43, 0.42),
-    "c": (0.51, 0.53, 0.55),
-}
+Q = {"a": (0.50, 0.55, 0.52), "b": (0.40, 0.43, 0.42), "c": (0.51, 0.53, 0.55)}
 
 
 def heading(text: str) -> str:
@@ -38,62 +36,21 @@ def heading(text: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as session:
-        if session is None:
-            pytest.skip("chromium and chromedriver are not both on the PATH")
-        yield session
-
-
-@pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
-    draw(
-        folder / "pictures" / "tank-1",
-        [
-            "truth.png",
-            "add-01234567.png",
-            "add-01234567.error.png",
-            "ten-01234567.png",
-            "ten-01234567.error.png",
-        ],
-    )
+    files = [f"{name}-01234567{kind}.png" for name in ("add", "ten") for kind in ("", ".error")]
+    draw(folder / "pictures" / "tank-1", ["truth.png", *files])
+    shown = {"pictures": "tank-1"}
+    long = {"a_very_long_parameter_name_without_a_space": "x" * 60}
+    known = {"command": "sabench run quick --solver ten", "code_hash": "c0de" * 16}
+    evil = {"parameters": {"a": EVIL}, "command": EVIL, "machine": {"cpu": EVIL}}
+    sent = {"split": "hidden", "submission": {"name": EVIL, "date": "2026-01-02"}}
     records = [
-        record(
-            "add",
-            0.5,
-            seconds=9.0,
-            peak_mb=100.0,
-            pictures="tank-1",
-            parameters={"a_very_long_parameter_name_without_a_space": "x" * 60},
-        ),
-        record(
-            "ten",
-            0.25,
-            seconds=10.0,
-            peak_mb=None,
-            pictures="tank-1",
-            command="sabench run quick --solver ten",
-            code_hash="c0de" * 16,
-        ),
-        record(
-            HOSTILE,
-            None,
-            seconds=200.0,
-            peak_mb=99.5,
-            pictures="tank-1",
-            parameters={"a": EVIL},
-            command=EVIL,
-            machine={"cpu": EVIL},
-        ),
+        record("add", 0.5, seconds=9.0, peak_mb=100.0, parameters=long, **shown),
+        record("ten", 0.25, seconds=10.0, peak_mb=None, **shown, **known),
+        record(HOSTILE, None, seconds=200.0, peak_mb=99.5, **shown, **evil),
         record("broken", error=f"solver broken: {EVIL}"),
-        record(
-            "add",
-            0.7,
-            scene="x" * 100,
-            split="hidden",
-            submission={"name": EVIL, "date": "2026-01-02"},
-        ),
+        record("add", 0.7, scene="x" * 100, **sent),
         record("sees", task="see_through", read_percent=90.0),
     ]
     board.build_page(records, folder / "pictures", folder / "index.html")
@@ -101,26 +58,17 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def levels() -> list[Record]:
-    cases = {
-        "easy": ("easy", None, 0.1),
-        "standard": ("standard", None, 0.0),
-        "dense": ("standard", "density", -0.2),
-        "dim": ("standard", "light", -0.1),
-    }
+    cases: tuple[tuple[dict[str, Any], float], ...] = (
+        ({"case": "easy", "difficulty": "easy", "axis": None}, 0.1),
+        ({"case": "standard", "difficulty": "standard", "axis": None}, 0.0),
+        ({"case": "dense", "difficulty": "standard", "axis": "density"}, -0.2),
+        ({"case": "dim", "difficulty": "standard", "axis": "light"}, -0.1),
+    )
+    head = {"suite": "volumes", "reference_s": 0.5}
     return [
-        record(
-            name,
-            q + change,
-            seed=seed,
-            case=case,
-            difficulty=difficulty,
-            axis=axis,
-            suite="volumes",
-            seconds=10.0**number,
-            reference_s=0.5,
-        )
+        record(name, q + change, seed=seed, seconds=10.0**number, **about, **head)
         for number, (name, values) in enumerate(Q.items())
-        for case, (difficulty, axis, change) in cases.items()
+        for about, change in cases
         for seed, q in enumerate(values, 1)
     ]
 
@@ -172,22 +120,15 @@ def test_details_and_the_command_are_there_to_be_copied(browser: Browser, page: 
     browser.open(page, "#solver=ten")
     browser.press("//button[text()='details']")
     shown = browser.ask("document.querySelector('tr.details').textContent")
-    assert all(
-        part in shown
-        for part in (
-            *("sabench run quick --solver ten", "c0de" * 16, "da" * 32, "5c" * 32),
-            *("0123456789abcdef", "numpy 2.0"),
-        )
-    )
-    assert (
-        browser.ask("document.querySelector('tbody button[aria-expanded]').ariaExpanded") == "true"
-    )
-    browser.devtools(
-        "Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"]
-    )
+    parts = ("sabench run quick --solver ten", "c0de" * 16, "da" * 32, "5c" * 32)
+    assert all(part in shown for part in (*parts, "0123456789abcdef", "numpy 2.0"))
+    expanded = "document.querySelector('tbody button[aria-expanded]').ariaExpanded"
+    assert browser.ask(expanded) == "true"
+    permissions = ["clipboardReadWrite", "clipboardSanitizedWrite"]
+    browser.devtools("Browser.grantPermissions", permissions=permissions)
     browser.press("//button[text()='copy']")
     browser.wait(
-        "[...document.querySelectorAll('.copy')].some(button => button.textContent === 'copied')"
+        "[...document.querySelectorAll('.copy')].some(one => one.textContent === 'copied')"
     )
     assert browser.ask("navigator.clipboard.readText()") == "sabench run quick --solver ten"
     browser.press("//button[text()='details']")
@@ -222,14 +163,7 @@ def test_filters_are_kept_in_the_fragment_of_a_link(browser: Browser, graded: Pa
 
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize(
-    "fragment",
-    [
-        "",
-        LOG,
-        "#view=time",
-        "#view=case&case=tank-5c5c5c5c-splat",
-        "#view=case&case=" + "x" * 100 + "-5c5c5c5c-splat-hidden",
-    ],
+    "fragment", ["", LOG, "#view=time", CASE, f"#view=case&case={'x' * 100}-5c5c5c5c-splat-hidden"]
 )
 def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment: str) -> None:
     browser.open(page, fragment)
@@ -245,33 +179,22 @@ def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment:
     assert browser.complaints() == []
     if fragment == LOG:
         text = browser.ask("document.body.innerText")
-        assert all(
-            part in text
-            for part in (
-                HOSTILE,
-                f"failed: solver broken: {EVIL}",
-                f"a {EVIL}",
-                f"by {EVIL}",
-                f"cpu {EVIL}",
-            )
-        )
+        parts = ("failed: solver broken:", "a", "by", "cpu")
+        assert all(part in text for part in (HOSTILE, *(f"{one} {EVIL}" for one in parts)))
 
 
 def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) -> None:
     browser.open(page, LOG)
     browser.ask("document.body.append(Object.assign(new Image(), {src: 'absent.png'}))")
     assert any("Content Security Policy" in complaint for complaint in browser.complaints())
-    for refused in (
+    for banned in (
         "document.body.insertAdjacentHTML('beforeend', '<b>x</b>')",
         "document.createElement('script').src = 'data:,1'",
     ):
-        assert browser.ask(
-            f"(() => {{ try {{ {refused}; return false; }} catch {{ return true; }} }})()"
-        )
-        assert any(
-            "Trusted" in complaint or "Content Security Policy" in complaint
-            for complaint in browser.complaints()
-        )
+        caught = f"(() => {{ try {{ {banned}; return false; }} catch {{ return true; }} }})()"
+        assert browser.ask(caught)
+        said = " ".join(browser.complaints())
+        assert "Trusted" in said or "Content Security Policy" in said
 
 
 # Plots
@@ -296,13 +219,9 @@ def test_accuracy_against_time_has_points_with_tips(browser: Browser, graded: Pa
         "c: Q 0.530 ± 0.050",
     ]
     assert browser.texts(".legend li") == ["a", "b", "c"]
-    assert (
-        browser.ask(
-            "new Set([...document.querySelectorAll('.legend path')].map(path => "
-            "path.getAttribute('d') + path.getAttribute('fill'))).size"
-        )
-        == 3
-    )
+    marks = "path => path.getAttribute('d') + path.getAttribute('fill')"
+    paths = "[...document.querySelectorAll('.legend path')]"
+    assert browser.ask(f"new Set({paths}.map({marks})).size") == 3
     browser.hover("//*[name()='path' and starts-with(@aria-label, 'b: Q')]")
     browser.wait("document.getElementById('tip')")
     assert browser.ask("document.getElementById('tip').textContent").startswith(
@@ -366,21 +285,17 @@ def differences(browser: Browser) -> dict[str, list[str]]:
 @pytest.mark.slow
 def test_two_solvers_are_compared_over_their_common_seeds(browser: Browser, graded: Path) -> None:
     browser.open(graded, "#view=case&case=standard-5c5c5c5c-splat")
-    browser.press("//section[@id='compare']//label[span='First']//option[contains(., '. a')]")
-    browser.press("//section[@id='compare']//label[span='Second']//option[contains(., '. b')]")
+    option = "//section[@id='compare']//label[span='{}']//option[contains(., '. {}')]"
+    browser.press(option.format("First", "a"))
+    browser.press(option.format("Second", "b"))
     exact = mean_of([one - other for one, other in zip(Q["a"], Q["b"], strict=True)])
     assert exact is not None
-    assert differences(browser)["q"] == [
-        "0.523 ± 0.063",
-        "0.417 ± 0.038",
-        exact.text(4),
-        "3",
-        "yes",
-    ]
+    expected = ["0.523 ± 0.063", "0.417 ± 0.038", exact.text(4), "3", "yes"]
+    assert differences(browser)["q"] == expected
     fragment = browser.ask("location.hash")
-    browser.press("//section[@id='compare']//label[span='Second']//option[contains(., '. c')]")
+    browser.press(option.format("Second", "c"))
     assert differences(browser)["q"][-1] == "no"
-    browser.press("//section[@id='compare']//label[span='Second']//option[contains(., '. late')]")
+    browser.press(option.format("Second", "late"))
     assert differences(browser)["q"][2:] == ["-0.0800", "1", "one common seed: no interval"]
     browser.open(graded, fragment)
     assert differences(browser)["q"][2] == exact.text(4)
@@ -391,9 +306,7 @@ def test_two_solvers_are_compared_over_their_common_seeds(browser: Browser, grad
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [320, 1200])
-@pytest.mark.parametrize(
-    "fragment", ["#all=1", "#view=time", "#view=why", "#view=case&case=tank-5c5c5c5c-splat"]
-)
+@pytest.mark.parametrize("fragment", ["#all=1", "#view=time", "#view=why", CASE])
 def test_tables_alone_scroll_sideways(
     browser: Browser, page: Path, width: int, fragment: str
 ) -> None:
@@ -404,23 +317,17 @@ def test_tables_alone_scroll_sideways(
     )
     assert browser.ask("innerWidth") == width
     assert browser.ask("document.documentElement.scrollWidth") <= width
-    assert browser.ask(
-        "[...document.querySelectorAll('.box')].every(box => getComputedStyle(box).overflowX "
-        "=== 'auto')"
-    )
+    boxes = "[...document.querySelectorAll('.box')]"
+    assert browser.ask(f"{boxes}.every(box => getComputedStyle(box).overflowX === 'auto')")
 
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("large")
+    about = [{"case": f"case-{n}", "difficulty": ("easy", "hard")[n % 2]} for n in range(500)]
     records = [
-        record(
-            f"solver_{solver}",
-            (solver * 37 + case * 11) % 1000 / 1000.0,
-            case=f"case-{case}",
-            seconds=1.0 + solver,
-            difficulty=("easy", "hard")[case % 2],
-        )
+        record(f"solver_{solver}", (solver * 37 + case * 11) % 1000 / 1000.0, seconds=1.0 + solver)
+        | about[case]
         for solver in range(20)
         for case in range(500)
     ]
@@ -438,18 +345,12 @@ def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, la
         "[...document.querySelectorAll('tbody tr')].map(row => "
         "Number(row.querySelectorAll('.number')[1].textContent))"
     )
-    assert first == [
-        value / 1000.0
-        for value in sorted(
-            (solver * 37 + case * 11) % 1000 for solver in range(20) for case in range(500)
-        )[:25]
-    ]
+    values = ((solver * 37 + case * 11) % 1000 for solver in range(20) for case in range(500))
+    assert first == [value / 1000.0 for value in sorted(values)[:25]]
     browser.press("//button[text()='last']")
     assert browser.ask("document.querySelector('.pager span').textContent") == "page 400 of 400"
     browser.press("//input[@type='search']", "case-499 solver_1")
-    assert sorted(browser.ask(SOLVERS)) == sorted(
-        ["solver_1", *(f"solver_{number}" for number in range(10, 20))]
-    )
+    assert set(browser.ask(SOLVERS)) == {f"solver_{number}" for number in (1, *range(10, 20))}
     assert browser.ask(STATUS) == "11 of 10000 results"
     assert re.fullmatch(r"#view=table&q=case-499\+solver_1&sort=q", browser.ask("location.hash"))
     assert browser.count("*") < 1500
@@ -462,13 +363,8 @@ def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, la
 def judged(solver: str, explained: float | None, **changes: Any) -> Record:
     figures = {"explained": explained, "followed": 0.5}
     quality = {"frames": 1, "again": False, "figures": figures}
-    head: dict[str, Any] = {
-        "recorded": True,
-        "renderer": "recorded",
-        "seed": 0,
-        "task": "particles",
-    }
-    return record(solver, **head, quality=quality, case="tank", **changes)
+    head: dict[str, Any] = {"recorded": True, "renderer": "recorded", "seed": 0, "case": "tank"}
+    return record(solver, **head, task="particles", quality=quality, **changes)
 
 
 @pytest.mark.slow
@@ -496,3 +392,252 @@ def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Pa
     assert "renderer" not in browser.ask("document.querySelector('p.quiet').textContent")
     browser.wait(DRAWN)
     assert browser.complaints() == []
+
+
+DASH = "\u2013"
+FORMULA = '=1+1"><img src=x onerror="document.title=1">'
+PLACES = (
+    "[...document.querySelectorAll('.board tbody tr:not(.truth)')]"
+    ".map(row => [row.querySelector('.place').textContent, row.querySelector('.name').textContent])"
+)
+RANKS = (
+    "[...document.querySelectorAll('.board tbody tr:not(.truth)')]"
+    ".map(row => [...row.querySelectorAll('.rank')].map(cell => cell.textContent))"
+)
+# what a press would save: the page makes a blob of it and follows a link
+CATCH = (
+    "(() => { const blob = window.Blob; window.saved = []; "
+    "window.Blob = function (parts, options) { saved.push([options.type, parts.join('')]); "
+    "return new blob(parts, options); }; "
+    "HTMLAnchorElement.prototype.click = function () { saved.push(this.download); }; "
+    "return true; })()"
+)
+STEPS = [[1, 2.0, 0.6], [2, 3.0, 0.7], [3, 4.0, 0.75]]  # iterations, their seconds and scores
+VIEWS = ("", "#view=table", "#view=time", "#view=why", "#view=case&case=standard-standard-splat")
+
+
+def trial() -> list[Record]:
+    """Four solvers in three cases of five seeds, and in two that change the density."""
+    levels = {"easy": 0.9, "standard": 0.8, "hard": 0.5}
+    solvers = {"good": 0.0, "close": -0.001, "fair": -0.2, FORMULA: -0.3}
+    curve = {f"peak_f1_within_{number / 10:g}": number / 10 for number in range(1, 11)}
+    head: dict[str, Any] = {"suite": "trial", "reference_s": 0.5, "rms_px": 0.2, **curve}
+    records = [
+        record(
+            solver,
+            base + change + 0.03 * ((seed * (3 if solver == "close" else 1)) % 5 - 2),
+            **{"case": level, "scene_hash": level, "difficulty": level, "seed": seed},
+            dataset=f"{level}-{seed}",
+            seconds=10.0 * (1.0 + change),
+            pictures=level if seed == 1 else None,
+            iterations=STEPS if solver == "good" else None,
+            **head,
+        )
+        for level, base in levels.items()
+        for solver, change in solvers.items()
+        if (level, solver) != ("hard", "fair")
+        for seed in range(1, 6)
+    ]
+    dense = [
+        record(
+            solver,
+            0.8 + change - ppp + 0.01 * seed,
+            **{"case": f"dense-{ppp}", "scene_hash": f"dense-{ppp}", "seed": seed},
+            **{"axis": "density", "axes": {"particles.per_pixel": ppp}, "seconds": 1.0},
+            dataset=f"{ppp}-{seed}",
+            **head,
+        )
+        for ppp in (0.05, 0.1, 0.2)
+        for solver, change in solvers.items()
+        for seed in range(1, 4)
+    ]
+    return [*records, *dense, record("alone", task="see_through", read_percent=90.0)]
+
+
+@pytest.fixture(scope="module")
+def ranking(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("front")
+    names = [f"{solver}-01234567" for solver in ("good", "close")]
+    for level in ("easy", "standard", "hard"):
+        files = ["truth.png", *(f"{n}.png" for n in names), *(f"{n}.error.png" for n in names)]
+        draw(folder / "pictures" / level, files)
+    board.build_page(trial(), folder / "pictures", folder / "index.html")
+    return folder / "index.html"
+
+
+# The ranking
+
+
+def test_the_page_opens_with_the_ranking_and_curves(browser: Browser, ranking: Path) -> None:
+    browser.open(ranking)
+    assert browser.ask(PLACES) == [["1", "good"], ["1", "close"], ["3", FORMULA], [DASH, "fair"]]
+    assert browser.ask(RANKS) == [["=1"] * 3, ["=1"] * 3, ["4", "4", "3"], ["3", "3", DASH]]
+    assert browser.texts(".board b.score") == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
+    browser.wait(DRAWN)
+    count = "document.querySelectorAll('.plot').length"
+    assert browser.ask(count) == 2  # over the density and over the tolerance
+    bands = "document.querySelectorAll('.plot')[0].querySelectorAll('.mark-area path').length"
+    assert browser.ask(bands) == 4
+    points = "document.querySelectorAll('.plot')[1].querySelectorAll('.mark-symbol path').length"
+    assert browser.ask(points) == 4 * 10
+    heads = "[...document.querySelectorAll('h3')].map(head => head.textContent)"
+    over = ("one property of the scene", "the matching tolerance, standard")
+    assert browser.ask(heads) == [f"Score over {one}" for one in over]
+    assert browser.complaints() == []
+
+
+@pytest.mark.slow
+def test_accuracy_against_time_has_a_line_through_iterations(
+    browser: Browser, ranking: Path
+) -> None:
+    browser.open(ranking, "#view=time&case=standard-standard-splat")
+    browser.wait(DRAWN)
+    count = "document.querySelectorAll('.plot .mark-line path').length"
+    assert browser.ask(count) == 1
+    label = "document.querySelector('[aria-label*=\"after 2 iterations\"]').ariaLabel"
+    assert browser.ask(label) == "good: Q 0.700, 3.00 s, after 2 iterations"
+    assert browser.complaints() == []
+
+
+# Files
+
+
+def saved(browser: Browser, name: str) -> str:
+    """The content that a button would save."""
+    browser.ask(CATCH)
+    browser.press(f"(//button[starts-with(@aria-label, 'save') and text()='{name}'])[1]")
+    browser.wait("window.saved.length === 2")
+    return str(browser.ask("window.saved[0][1]"))
+
+
+@pytest.mark.slow_but_first
+@pytest.mark.parametrize("view", ["", "#view=table"])
+def test_what_is_shown_is_saved(browser: Browser, ranking: Path, view: str) -> None:
+    browser.open(ranking, view)
+    lines = list(csv.DictReader(io.StringIO(saved(browser, "CSV"))))
+    assert {line["solver"] for line in lines} == {"good", "close", "fair", f"'{FORMULA}"}
+    browser.open(ranking, view)
+    assert {line["solver"] for line in json.loads(saved(browser, "JSON"))} >= {"good", FORMULA}
+    browser.open(ranking, view)
+    tex = saved(browser, "LaTeX")
+    assert tex.startswith("\\begin{tabular}")
+    assert tex.count("&") > 4 * len(lines)
+    assert "%" not in tex.replace("\\%", "")
+
+
+@pytest.mark.slow
+def test_plots_are_saved_as_svg_and_png(browser: Browser, ranking: Path) -> None:
+    browser.open(ranking)
+    browser.wait(DRAWN)
+    browser.ask(CATCH)
+    browser.press("(//button[text()='SVG'])[1]")
+    browser.wait("window.saved.length === 2")
+    assert browser.ask("window.saved[0][1].startsWith('<svg')")
+    browser.press("(//button[text()='PNG'])[1]")
+    browser.wait("window.saved.length === 4")
+    assert str(browser.ask("window.saved[3]")).endswith(".png")
+    assert browser.complaints() == []
+
+
+# Figures on top of each other
+
+
+@pytest.mark.slow
+def test_a_slider_uncovers_one_of_two_figures_and_both_zoom(
+    browser: Browser, ranking: Path
+) -> None:
+    browser.open(ranking, VIEWS[-1])
+    names = "[...document.querySelectorAll('.swipe span')].map(one => one.textContent)"
+    assert browser.ask(names) == ["truth", "good"]
+    browser.press("//select/option[text()='close: errors']/..")
+    right = "//section[@id='viewer']//label[span='Right']//option[text()='close: errors']"
+    browser.press(right)
+    assert browser.ask(names) == ["truth", "close: errors"]
+    cover = "document.querySelector('.cover').style.clipPath"
+    assert "50%" in browser.ask(cover)
+    browser.press("//input[@type='range']", "\ue012")  # arrow to the left
+    assert "49%" in browser.ask(cover)
+    browser.press("//button[starts-with(text(), '4')]")
+    browser.press("//div[contains(@class, 'frame')]", "\ue014")  # arrow to the right
+    moved = "[...document.querySelectorAll('.frame img')].map(one => one.style.transform)"
+    assert browser.ask(moved) == ["scale(4) translate(-2.5%, 0%)"] * 2
+
+
+# Narrow screens, no script, accessibility
+
+
+@pytest.mark.slow
+def test_a_narrow_screen_shows_cards_with_scores_first(browser: Browser, ranking: Path) -> None:
+    browser.open(ranking, "", 390)
+    assert browser.ask("document.documentElement.scrollWidth") <= 390
+    boxes = (
+        "[...document.querySelectorAll('.cards tbody tr:not(.details)')]"
+        ".map(row => row.getBoundingClientRect()).map(box => [box.left, box.right])"
+    )
+    assert all(0 <= left < right <= 390 for left, right in browser.ask(boxes))
+    top = "document.querySelector('.board b.score').getBoundingClientRect().top"
+    assert browser.ask(top) < 844
+    browser.open(ranking, "#view=table", 390)
+    order = (
+        "[...document.querySelector('.cards tbody tr').children].map(cell => [cell.dataset.label, "
+        "cell.getBoundingClientRect().top]).sort((a, b) => a[1] - b[1]).map(cell => cell[0])"
+    )
+    assert browser.ask(order)[1:4] == ["Q", "seconds", "case"]
+    assert browser.ask("document.documentElement.scrollWidth") <= 390
+
+
+def test_without_scripts_a_static_table_is_there(browser: Browser, ranking: Path) -> None:
+    browser.devtools("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.open(ranking)
+        nodes = browser.devtools("Accessibility.getFullAXTree")["nodes"]
+    finally:
+        browser.devtools("Emulation.setScriptExecutionDisabled", value=False)
+    read = [one for one in nodes if not one["ignored"]]
+    headers = [one["name"]["value"] for one in read if one["role"]["value"] == "rowheader"]
+    assert headers == ["good", "close", FORMULA, "fair", "alone"]
+    browser.open(ranking)
+    assert browser.count(".static") == 0
+
+
+@pytest.mark.parametrize(("mode", "width"), [("light", 1400), ("dark", 390)])
+@pytest.mark.parametrize(
+    "view", [VIEWS[0], *(pytest.param(view, marks=pytest.mark.slow) for view in VIEWS[1:])]
+)
+def test_axe_finds_nothing(
+    browser: Browser, ranking: Path, view: str, width: int, mode: str
+) -> None:
+    browser.prefer(mode)
+    browser.open(ranking, view, width)
+    browser.ask("document.querySelectorAll('details').forEach(details => { details.open = true })")
+    if view != "#view=table":
+        browser.wait(DRAWN)
+    found = browser.violations()
+    browser.prefer(None)
+    assert found == []
+
+
+def test_marks_of_results_are_kept_in_the_ranking(browser: Browser, tmp_path: Path) -> None:
+    """A program's seconds, a solver that was not confined in one case, a sender, a copy."""
+    sent = {"submission": {"name": "Ann", "date": "2026-01-02"}}
+    records = [
+        record("program", 0.9, seconds=2.0, reference_s=1.0, whole_process=True, rms_px=0.1),
+        record("open", 0.8, case="one", suite="tank", isolated=True),
+        record("open", 0.8, case="two", suite="tank", scene_hash="two", isolated=False),
+        record("sent", 0.7, **sent),
+        record("copy", 0.9, rms_px=0.1, **sent),
+    ]
+    records = [{**one, "suite": "trial"} for one in records]
+    board.build_page(records, tmp_path, tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    chips = (
+        "Object.fromEntries([...document.querySelectorAll('.board tbody tr')].map(row => "
+        "[row.querySelector('.name').textContent, "
+        "[...row.querySelectorAll('.chip')].map(chip => chip.textContent)]))"
+    )
+    assert browser.ask(chips) == {
+        "program": ["also sent as copy by Ann"],
+        "open": ["not isolated"],
+        "sent": ["by Ann"],
+    }
+    assert "\u2020" in browser.ask("document.querySelector('.board').textContent")

@@ -1,11 +1,13 @@
 """Bubbles from scene to score: phases, detections, and trajectories."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+import trimesh
 
 from sabench.api import BubbleSolver, Detections, Observation
 from sabench.api.make import make_algorithm
@@ -20,9 +22,10 @@ from sabench.simulation.pipeline import generate
 from sabench.tasks import bubbles
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.arrays import F64, I64
-from sabench.utils.errors import InputError
 from tests.helpers.bubble_scenes import LASER, small
+from tests.helpers.refusals import refused
 
+MIDDLE = [0.0, 0.0, 60.0]
 SOLVERS = [name for name in names("solvers") if load("solvers", name).task == "bubbles"]
 
 
@@ -51,17 +54,6 @@ def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
 
 
 @pytest.mark.slow
-def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> None:
-    true, nothing = score(bubbly, "truth"), score(bubbly, "empty")
-    assert true["task"] == "bubbles"
-    assert true["f1"] == true["f1_large"] == true["precision"] == 1.0
-    assert true["depth_mm"] == true["radius_percent"] == 0.0
-    assert nothing["f1"] == 0.0
-    assert nothing["void_percent"] == 100.0
-    assert nothing["penetration_percent"] is None
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_solvers_find_visible_bubbles(name: str, bubbly: Dataset, tmp_path: Path) -> None:
     plugin = load("solvers", name)
@@ -80,21 +72,16 @@ def test_solvers_find_visible_bubbles(name: str, bubbly: Dataset, tmp_path: Path
 @pytest.mark.parametrize("level", ["black", "bright", "saturated"])
 def test_images_without_bubbles_have_none(name: str, level: str, bubbly: Dataset) -> None:
     case = bubbly.observation(0)
-    value = {"black": case.black_dn, "bright": 0.7 * case.white_dn, "saturated": case.white_dn}[
-        level
-    ]
-    empty = Observation(
-        np.full_like(case.images, int(value)), case.cameras, case.grid, case.black_dn, case.white_dn
-    )
+    value = {"bright": 0.7 * case.white_dn, "saturated": case.white_dn}.get(level, case.black_dn)
+    empty = replace(case, images=np.full_like(case.images, int(value)))
     algorithm: Any = make_algorithm(name, {})
     found: Detections = algorithm.solve(empty)
     assert len(found.center_mm) == 0
 
 
 def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
-    data = generate(
-        small(bubbles={"generator": "bubble_field", "count": 0}), tmp_path / "none", seed=1
-    )
+    scene = small(bubbles={"generator": "bubble_field", "count": 0})
+    data = generate(scene, tmp_path / "none", seed=1)
     assert verify(data.root) == []
     assert len(data.bubbles(0)) == 0
     assert score(data, "truth")["f1"] is None
@@ -104,45 +91,26 @@ def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
 def test_three_phases_in_one_image(tmp_path: Path) -> None:
     """Tracers, bubbles and a cylinder in one scene. Tracers are outside the bodies, and dark in
     their shadows."""
-    solid = {
-        "generator": "cylinder",
-        "radius_mm": 2.0,
-        "length_mm": 17.0,
-        "place_mm": [-6.0, 0.0, 60.0],
-        "material": {"reflectance": 0.0},
-    }
+    solid = {"generator": "cylinder", "radius_mm": 2.0, "length_mm": 17.0}
+    solid |= {"place_mm": [-6.0, 0.0, 60.0], "material": {"reflectance": 0.0}}
     field = {"generator": "bubble_list", "center_mm": [[4.0, 0.0, 60.0]], "radius_mm": [2.5]}
     tracers_too = {"generator": "uniform", "count": 2500, "diameter_mm": 0.05}
     light = {"center_mm": [0.0, 0.0, 400.0], "size_mm": [260.0, 260.0], "exposure": 0.05}
-    scene = small(
-        render={"relative_error": 0.05},
-        bubbles=field,
-        solids=[solid],
-        illumination=LASER,
-        particles=tracers_too,
-        backlight=light,
-    )
+    tables = {"illumination": LASER, "particles": tracers_too, "backlight": light}
+    scene = small(render={"relative_error": 0.05}, bubbles=field, solids=[solid], **tables)
     data = generate(scene, tmp_path / "three", seed=1)
     assert verify(data.root) == []
     assert data.shows == ("particles", "bubbles")
     tracers = data.particles(0).position_mm
     assert len(tracers) < 2500
     assert np.linalg.norm(tracers - [4.0, 0.0, 60.0], axis=1).min() > 2.5
-    beside = np.abs(tracers[:, 1]) < 8.5
-    assert np.hypot(tracers[beside, 0] + 6.0, tracers[beside, 2] - 60.0).min() > 1.99
+    x, y, z = tracers.T - [[0.0], [0.0], [60.0]]
+    beside = np.abs(y) < 8.5
+    assert np.hypot(x[beside] + 6.0, z[beside]).min() > 1.99
     view = data.views(0)[0]
-    across = np.hypot(tracers[:, 1], tracers[:, 2] - 60.0)
-    behind_bubble = (across < 2.3) & (tracers[:, 0] > 6.6)
-    behind_body = (
-        (np.abs(tracers[:, 2] - 60.0) < 1.9)
-        & (np.abs(tracers[:, 1]) < 8.0)
-        & (tracers[:, 0] > -4.0)
-    )
-    free = (
-        (np.abs(tracers[:, 2] - 60.0) > 3.0)
-        & (np.abs(tracers[:, 2] - 60.0) < 7.0)
-        & (np.abs(tracers[:, 1]) < 8.0)
-    )
+    behind_bubble = (np.hypot(y, z) < 2.3) & (x > 6.6)
+    behind_body = (np.abs(z) < 1.9) & (np.abs(y) < 8.0) & (x > -4.0)
+    free = (np.abs(z) > 3.0) & (np.abs(z) < 7.0) & (np.abs(y) < 8.0)
     assert (view.photons[behind_bubble | behind_body] == 0.0).all()
     assert (view.photons[free] > 0.0).mean() > 0.99
     (body,) = data.solids(0)
@@ -151,35 +119,23 @@ def test_three_phases_in_one_image(tmp_path: Path) -> None:
     sight = data.sight(0, middle)
     assert (sight.number == NOTHING - 1).mean() > 0.05
     hidden = data.views(0)[data.setup.cameras.index(middle)]
-    back = (
-        (np.abs(tracers[:, 0] + 6.0) < 1.0) & (tracers[:, 2] > 64.0) & (np.abs(tracers[:, 1]) < 6.0)
-    )
+    back = (np.abs(x + 6.0) < 1.0) & (z > 4.0) & (np.abs(y) < 6.0)
     assert back.sum() > 10
     assert (hidden.visible[back] == 0.0).mean() > 0.95
 
 
-def places(*centers: list[float], radius: float = 1.0, **more: Any) -> dict[str, Any]:
-    return {
-        "generator": "bubble_list",
-        "center_mm": [list(c) for c in centers],
-        "radius_mm": [radius] * len(centers),
-        **more,
-    }
+def places(*centers: list[float], **more: Any) -> dict[str, Any]:
+    lists = {"center_mm": [list(c) for c in centers], "radius_mm": [1.0] * len(centers)}
+    return {"generator": "bubble_list"} | lists | more
 
 
 def cube(folder: Path, scale: float = 1.0, *, whole: bool = True) -> dict[str, Any]:
-    import trimesh
-
     mesh = trimesh.creation.box(extents=(scale * 4.0, scale * 4.0, scale * 4.0))
     if not whole:
         mesh.update_faces(np.arange(len(mesh.faces)) > 0)
     mesh.export(folder / "body.stl")
-    return {
-        "generator": "mesh_file",
-        "file": str(folder / "body.stl"),
-        "unit": "mm",
-        "place_mm": [0.0, 0.0, 60.0],
-    }
+    file = str(folder / "body.stl")
+    return {"generator": "mesh_file", "file": file, "unit": "mm", "place_mm": MIDDLE}
 
 
 def lit(z: float) -> dict[str, Any]:
@@ -187,36 +143,30 @@ def lit(z: float) -> dict[str, Any]:
 
 
 FAULTS: dict[str, tuple[Any, str]] = {
-    "overlap": (lambda _: {"bubbles": places([0, 0, 60], [1.5, 0, 60])}, "expected none to reach"),
-    "front wall": (lambda _: {"bubbles": places([0, 0, 8.5])}, r"a wall cuts 1: 0 at"),
-    "back wall": (lambda _: {"bubbles": places([0, 0, 127.5])}, r"a wall cuts 1"),
+    "overlap": (lambda _: {"bubbles": places([0, 0, 60], [1.5, 0, 60])}, "bubbles"),
+    "front wall": (lambda _: {"bubbles": places([0, 0, 8.5])}, "wall"),
+    "back wall": (lambda _: {"bubbles": places([0, 0, 127.5])}, "wall"),
     "into a body": (
         lambda f: {"bubbles": places([2.5, 0, 60]), "solids": [cube(f)]},
-        r"1 reach into solids.0: 0 at",
+        "solids.0",
     ),
-    "index": (lambda _: {"bubbles": places([0, 0, 60], index=0.9)}, r"bubbles.index: .*greater"),
-    "light in front": (lambda _: {"backlight": lit(-600.0)}, "backlight.center_mm: expected it"),
-    "light in the tank": (lambda _: {"backlight": lit(100.0)}, r"backlight.center_mm: expected"),
-    "no light": (lambda _: {"backlight": None}, r"expected a backlight or a lighting for bubbles"),
-    "open mesh": (lambda f: {"solids": [cube(f, whole=False)]}, "solids.0: expected a closed"),
-    "metres": (lambda f: {"solids": [cube(f, 0.001)]}, "solids.0: expected a body of a size like"),
-    "outside": (lambda f: {"solids": [cube(f) | {"place_mm": [0, 0, 9.0]}]}, "solids.0 in frame"),
-    "no generator": (lambda _: {"solids": [{"generator": "uniform"}]}, "solids.0.generator:"),
-    "no file": (
-        lambda _: {"solids": [{"generator": "mesh_file", "file": "none.stl", "unit": "mm"}]},
-        "solids.0.file: expected a file",
-    ),
-    "unequal lists": (
-        lambda _: {"bubbles": places([0, 0, 60]) | {"radius_mm": [1.0, 2.0]}},
-        "expected one radius for each of 1 centres",
-    ),
+    "index": (lambda _: {"bubbles": places([0, 0, 60], index=0.9)}, "bubbles.index"),
+    "light in front": (lambda _: {"backlight": lit(-600.0)}, "backlight.center_mm"),
+    "light in the tank": (lambda _: {"backlight": lit(100.0)}, "backlight.center_mm"),
+    "no light": (lambda _: {"backlight": None}, "backlight"),
+    "open mesh": (lambda f: {"solids": [cube(f, whole=False)]}, "solids.0"),
+    "metres": (lambda f: {"solids": [cube(f, 0.001)]}, "solids.0"),
+    "outside": (lambda f: {"solids": [cube(f) | {"place_mm": [0, 0, 9.0]}]}, "solids.0"),
+    "no generator": (lambda _: {"solids": [{"generator": "uniform"}]}, "solids.0.generator"),
+    "no file": (lambda f: {"solids": [cube(f) | {"file": "none.stl"}]}, "solids.0.file"),
+    "unequal lists": (lambda _: {"bubbles": places([0, 0, 60], radius_mm=[1.0, 2.0])}, "bubbles"),
 }
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_what_cannot_be_is_said(name: str, tmp_path: Path) -> None:
-    change, sentence = FAULTS[name]
-    with pytest.raises(InputError, match=sentence):
+    change, key = FAULTS[name]
+    with refused(key):
         generate(small(**change(tmp_path)), tmp_path / "data", seed=1)
     assert not (tmp_path / "data").exists()
 
@@ -226,17 +176,9 @@ def test_what_cannot_be_is_said(name: str, tmp_path: Path) -> None:
     [("stl", "mm", 1.0), ("ply", "m", 1e-3), ("obj", "cm", 0.1), ("glb", "m", 1e-3)],
 )
 def test_bodies_come_from_files(suffix: str, unit: str, scale: float, tmp_path: Path) -> None:
-    import trimesh
-
-    trimesh.creation.box(extents=scale * np.array([4.0, 3.0, 2.0])).export(
-        tmp_path / f"body.{suffix}"
-    )
-    solid = {
-        "generator": "mesh_file",
-        "file": str(tmp_path / f"body.{suffix}"),
-        "unit": unit,
-        "place_mm": [0.0, 0.0, 60.0],
-    }
+    file = tmp_path / f"body.{suffix}"
+    trimesh.creation.box(extents=scale * np.array([4.0, 3.0, 2.0])).export(file)
+    solid = {"generator": "mesh_file", "file": str(file), "unit": unit, "place_mm": MIDDLE}
     scene = small(bubbles=None, solids=[solid], render={"relative_error": 0.2})
     (body,) = Frames(scene, build_rig(scene), 1).at(0).solids
     assert np.ptp(body.vertices_mm, axis=0) == pytest.approx([4.0, 3.0, 2.0], abs=1e-5)
@@ -252,14 +194,8 @@ def test_a_data_set_has_its_own_copies_of_files(tmp_path: Path) -> None:
 
 
 def test_bodies_turn_and_move() -> None:
-    solid = {
-        "generator": "cylinder",
-        "radius_mm": 1.0,
-        "length_mm": 6.0,
-        "place_mm": [0.0, 0.0, 60.0],
-        "spin_deg_s": [0.0, 0.0, 90.0],
-        "velocity_mm_s": [5, 0, 0],
-    }
+    solid = {"generator": "cylinder", "radius_mm": 1.0, "length_mm": 6.0, "place_mm": MIDDLE}
+    solid |= {"spin_deg_s": [0.0, 0.0, 90.0], "velocity_mm_s": [5, 0, 0]}
     scene = small(bubbles=None, solids=[solid], frames=2, interval_s=1.0)
     frames = Frames(scene, build_rig(scene), 1)
     sizes: list[F64] = [np.ptp(frames.at(frame).solids[0].vertices_mm, axis=0) for frame in (0, 1)]
@@ -360,40 +296,30 @@ def test_tracks_of_other_programs_count(moving: Dataset, tmp_path: Path) -> None
     own: dict[str, I64] = {
         f"f{frame:04d}": one.id.astype(np.uint32) for frame, one in enumerate(true)
     }
-    assert score(moving, foreign(tmp_path / "right.h5", moving, found, **own))["link_recall"] == 1.0
-    wrong = own | {"f0001": true[1].id + 1000}
-    assert (
-        score(moving, foreign(tmp_path / "wrong.h5", moving, found, **wrong))["link_recall"] == 0.0
-    )
+    for name, track, expected in (
+        ("right.h5", own, 1.0),
+        ("wrong.h5", own | {"f0001": true[1].id + 1000}, 0.0),
+    ):
+        result = foreign(tmp_path / name, moving, found, **track)
+        assert score(moving, result)["link_recall"] == expected
 
 
 def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
     found = perturbed(moving)
     good = {f"f{frame:04d}": np.arange(len(one.center_mm)) for frame, one in enumerate(found)}
     count = len(found[1].center_mm)
-    cases: dict[str, dict[str, Any]] = {
-        r"0001/bubbles/track: expected different numbers, got 7 2 times": good
-        | {"f0001": np.where(np.arange(count) == 3, 7, np.arange(count))},
-        (
-            rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count},\) of "
-            r"float64"
-        ): good | {"f0001": np.arange(count) * 1.0},
-        rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count - 1},\)": good
-        | {"f0001": np.arange(count - 1)},
-        r"0002/bubbles/track: expected one in every frame or in none": {
-            key: good[key] for key in ("f0000", "f0001")
-        },
-    }
-    for number, (sentence, track) in enumerate(cases.items()):
-        with pytest.raises(InputError, match=sentence):
+    twice = np.where(np.arange(count) == 3, 7, np.arange(count))
+    changes = [{"f0001": one} for one in (twice, np.arange(count) * 1.0, np.arange(count - 1))]
+    cases = [*(good | one for one in changes), {key: good[key] for key in ("f0000", "f0001")}]
+    for number, track in enumerate(cases):
+        with refused("bubbles/track"):
             score(moving, foreign(tmp_path / f"{number}.h5", moving, found, **track))
 
 
 def test_no_track_goes_from_one_group_of_pulses_to_the_next(moving: Dataset) -> None:
     one = moving.bubbles(0)
-    setup = moving.setup.model_copy(
-        update={"frames": 5, "pulses": 2, "times_s": (0.0, 1e-3, 1.0, 1.001, 2.0)}
-    )
+    change = {"frames": 5, "pulses": 2, "times_s": (0.0, 1e-3, 1.0, 1.001, 2.0)}
+    setup = moving.setup.model_copy(update=change)
     track = bubbles.trajectories(setup, [Detections(one.center_mm, one.semi_axes_mm, one.turn)] * 5)
     assert setup.pairs() == [(0, 1), (2, 3)]
     np.testing.assert_array_equal(track[0], track[1])

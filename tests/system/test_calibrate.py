@@ -21,12 +21,17 @@ from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.targets_traced import render
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
 from sabench.worlds.calibration_targets import place
 from tests.conftest import Command
-from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
+from tests.helpers.calibration_cases import (
+    calibration_scene,
+    case_of,
+    true_error_px,
+    write_points,
+)
 from tests.helpers.calibration_tanks import MIDDLE, make_tank, off_wall, rotated, with_places
 from tests.helpers.commands import refuse, succeed
+from tests.helpers.refusals import refused
 
 
 def describe(scene: Scene, folder: Path, cameras: tuple[Camera, ...], **changes: Any) -> None:
@@ -55,14 +60,6 @@ def describe(scene: Scene, folder: Path, cameras: tuple[Camera, ...], **changes:
     } | changes
     folder.mkdir(exist_ok=True)
     (folder / "calibration.toml").write_text(tomli_w.dumps(values))
-
-
-def write_points(path: Path, pixels: F64, cameras: tuple[Camera, ...]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["camera", "frame", "point", "column", "row"])
-        for c, k, i in np.argwhere(np.isfinite(pixels[..., 0])).tolist():
-            writer.writerow([cameras[c].name, k, i, *pixels[c, k, i]])
 
 
 def cameras_in(path: Path) -> tuple[Camera, ...]:
@@ -103,15 +100,8 @@ def test_a_round_tank_is_calibrated(command: Command, tmp_path: Path) -> None:
 def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
     scene = calibration_scene(detection={"noise_px": 0.2, "missing": 0.05, "outliers": 0.02})
     case, cameras, points, exact = case_of(scene)
-    known = [
-        {
-            "frame": 2,
-            "point": 60,
-            "x_mm": points[2, 60, 0],
-            "y_mm": points[2, 60, 1],
-            "z_mm": points[2, 60, 2],
-        }
-    ]
+    places = dict(zip(("x_mm", "y_mm", "z_mm"), points[2, 60].tolist(), strict=True))
+    known = [{"frame": 2, "point": 60} | places]
     describe(scene, tmp_path / "mine", cameras, known=known)
     write_points(tmp_path / "mine" / "points.csv", case.pixels, cameras)
     done = succeed(command("calibrate", "mine", "--json"))
@@ -119,12 +109,8 @@ def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
     assert report["noise_px"] == pytest.approx(0.2, rel=0.05)
     assert report["depth_mm"] < 0.1
     assert len(report["cameras"]) == 9
-    assert (
-        0.9
-        < sum(line["used"] for line in report["frames"])
-        / sum(line["found"] for line in report["frames"])
-        < 1.0
-    )
+    used, found = (sum(line[key] for line in report["frames"]) for key in ("used", "found"))
+    assert 0.9 < used / found < 1.0
     made = cameras_in(tmp_path / "mine" / "result" / "cameras.json")
     depth = np.mean(
         [own.center_mm[2] - true.center_mm[2] for own, true in zip(made, cameras, strict=True)]
@@ -161,75 +147,57 @@ def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
         folder.mkdir(parents=True)
         for camera in cameras:
             picture = render(camera, placed.target, pose, lamps, np.array([0.0, 0.0, 35.0]), 9)
-            assert cv2.imwrite(
-                str(folder / f"{camera.name}.png"),
-                np.clip(200.0 * picture, 0.0, 255.0).astype(np.uint8),
-            )
+            grey = np.clip(200.0 * picture, 0.0, 255.0).astype(np.uint8)
+            assert cv2.imwrite(str(folder / f"{camera.name}.png"), grey)
     done = succeed(command("calibrate", "mine", "-o", "out", "--json"))
     report = json.loads(done.stdout)
     assert report["noise_px"] < 0.05
     assert all(
         line["found"] >= 484 and line["used"] > 0.9 * line["found"] for line in report["cameras"]
     ), report
-    focal = [
-        camera.principal_distance_mm for camera in cameras_in(tmp_path / "out" / "cameras.json")
-    ]
-    np.testing.assert_allclose(
-        focal, [camera.principal_distance_mm for camera in cameras], rtol=0.02
+    found, true = (
+        [camera.principal_distance_mm for camera in own]
+        for own in (cameras_in(tmp_path / "out" / "cameras.json"), cameras)
     )
+    np.testing.assert_allclose(found, true, rtol=0.02)
 
 
-def faulty(folder: Path, what: str) -> None:
-    scene = calibration_scene()
-    case, cameras, *_ = case_of(scene)
-    describe(scene, folder, cameras)
-    lines = ["camera,frame,point,column,row", "camera_00,0,0,1.5,2.5"]
+LINES = ("camera,frame,point,column,row", "camera_00,0,0,1.5,2.5")
+
+
+@pytest.mark.parametrize(
+    ("lines", "changes", "key"),
+    [
+        (LINES, None, "calibration.toml"),
+        (LINES, ("pitch_mm", "pich_mm"), "calibration.toml: target.pich_mm"),
+        (LINES, ("[wall]", "[wall]\npoint_mm = [0.0, 0.0, -900.0]"), "camera camera_00"),
+        (("camera,frame,point,x,y", LINES[1]), (), "points.csv"),
+        ((*LINES, "camera_00,0,one,1,1"), (), "points.csv: line 3: point"),
+        ((*LINES, "camera_77,0,1,1,1"), (), "points.csv: line 3"),
+        ((*LINES, LINES[1]), (), "camera_00, frame 0"),
+        ((), (), "images"),
+        (LINES, (), "camera_01"),
+    ],
+    ids=["configuration", "key", "wall", "header", "number", "camera", "twice", "images", "few"],
+)
+def test_a_fault_is_one_sentence(
+    command: Command, tmp_path: Path, lines: tuple[str, ...], changes: Any, key: str
+) -> None:
+    scene, folder = calibration_scene(), tmp_path / "mine"
+    describe(scene, folder, build_rig(scene).cameras)
     text = (folder / "calibration.toml").read_text()
-    if what == "configuration":
+    if changes is None:
         (folder / "calibration.toml").unlink()
-    elif what == "key":
-        (folder / "calibration.toml").write_text(text.replace("pitch_mm", "pich_mm"))
-    elif what == "wall":
-        (folder / "calibration.toml").write_text(
-            text.replace("[wall]", "[wall]\npoint_mm = [0.0, 0.0, -900.0]")
-        )
-    elif what == "header":
-        lines[0] = "camera,frame,point,x,y"
-    elif what == "number":
-        lines.append("camera_00,0,one,1,1")
-    elif what == "camera":
-        lines.append("camera_77,0,1,1,1")
-    elif what == "twice":
-        lines.append(lines[1])
-    if what != "images":
+    elif changes:
+        (folder / "calibration.toml").write_text(text.replace(*changes))
+    if lines:
         (folder / "points.csv").write_text("\n".join(lines) + "\n")
-    assert case.found.all()
-
-
-FAULTS = {
-    "configuration": "calibration.toml: expected the description of a calibration, found none",
-    "key": "calibration.toml: target.pich_mm: unknown key; did you mean pitch_mm?",
-    "wall": "calibration.toml: camera camera_00: no light path to its aim point",
-    "header": "points.csv: expected the first line camera,frame,point,column,row and possibly x_mm",
-    "number": "points.csv: line 3: point: expected a whole number, got one",
-    "camera": "points.csv: line 3: expected one of the cameras",
-    "twice": "points.csv: line 3: camera_00, frame 0: expected point 0 once, got it twice",
-    "images": (
-        "images: expected folders with an image of each camera, or a points.csv next to it, "
-        "found neither"
-    ),
-    "few": "camera_01: expected it to see some of the target, but not one of its points was found",
-}
-
-
-@pytest.mark.parametrize("what", FAULTS)
-def test_a_fault_is_one_sentence(command: Command, tmp_path: Path, what: str) -> None:
-    faulty(tmp_path / "mine", what)
-    refuse(command("calibrate", "mine"), FAULTS[what])
-    assert not (tmp_path / "mine" / "result").exists()
+    refuse(command("calibrate", "mine"), key)
+    assert not (folder / "result").exists()
 
 
 Y_UP = np.diag([1.0, -1.0, -1.0])  # Y up, Z towards the cameras
+NO_CAMERAS: dict[str, Any] = {"array": None, "cameras": None, "target_mm": [0.0, 0.0, 70.0]}
 HEAD = ["camera", "frame", "point", "column", "row"]
 BOARD = {"pattern": "checkerboard", "columns": 6, "rows": 5, "pitch_mm": 10.0}
 
@@ -351,43 +319,35 @@ def test_a_target_of_any_shape_moves(command: Command, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "changes", "words"),
+    ("options", "changes", "key"),
     [
-        (["--solver", "soloff"], {}, "solver soloff: expected known places of the target in every"),
-        (["--unknowns", "k9"], {}, "--unknowns: expected auto, or names of principal_point, k1"),
-        (["--unknowns", "wall"], {}, "wall: expected a wall and three points or more with known"),
-        (
-            ["--solver", "refractive_autocal_alternating", "--unknowns", "k1,bend"],
-            {},
-            "unknown: expected parameters of lenses for this solver, got bend: use refractive",
-        ),
-        (["-p", "thicknesses=[3]"], {}, "thicknesses: expected numbers from 0 and below 1"),
-        ([], {"target": None}, "points.csv: line 2: expected x_mm, y_mm and z_mm of every point"),
-        ([], {"target_points": "x.csv"}, "expected either target or target_points, got both"),
-        ([], {"known": [{"frame": 9, "z_mm": 1.0}]}, "known.0: expected one of 6 frames"),
-        ([], {"up": [0.0, 0.0, 0.0]}, "up: expected a vector of non-zero length"),
+        ("--solver soloff", {}, "soloff"),
+        ("--unknowns k9", {}, "--unknowns"),
+        ("--unknowns wall", {}, "wall"),
+        ("--solver refractive_autocal_alternating --unknowns k1,bend", {}, "bend"),
+        ("-p thicknesses=[3]", {}, "thicknesses"),
+        ("", {"target_points": "x.csv"}, "target_points"),
+        ("", {"known": [{"frame": 9, "z_mm": 1.0}]}, "known.0"),
+        ("", {"up": [0.0, 0.0, 0.0]}, "up"),
+        ("", {"known_cameras": "air.json"}, "known_cameras"),
+        ("", {"array": None}, "array"),
+        ("", {"array": None, "cameras": None, "known_cameras": "air.json"}, "target_mm"),
+        ("", NO_CAMERAS | {"known_cameras": "no.json"}, "no.json"),
     ],
 )
 def test_a_fault_of_a_tank_is_one_sentence(
-    command: Command, tmp_path: Path, options: list[str], changes: Any, words: str
+    command: Command, tmp_path: Path, options: str, changes: Any, key: str
 ) -> None:
     case, _, _ = make_tank()
     write(tmp_path / "mine", case, np.eye(3), **changes)
-    refuse(command("calibrate", "mine", *options), words)
+    refuse(command("calibrate", "mine", *options.split()), key)
     assert not (tmp_path / "mine/result").exists()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("what", "words"),
-    [
-        ("flipped", "expected rows counted from the top of the images and columns from the left"),
-        ("swapped", "are two cameras swapped, images mirrored, or a length wrong?"),
-        ("inches", "expected points that one array can see, got some that miss by"),
-    ],
-)
+@pytest.mark.parametrize("what", ["flipped", "swapped", "inches"])
 def test_images_that_contradict_the_guess_are_a_sentence(
-    command: Command, tmp_path: Path, what: str, words: str
+    command: Command, tmp_path: Path, what: str
 ) -> None:
     case, _, _ = make_tank()
     target = dict(BOARD)
@@ -398,7 +358,7 @@ def test_images_that_contradict_the_guess_are_a_sentence(
     else:
         target["pitch_mm"] = 10.0 / 25.4
     write(tmp_path / "mine", case, np.eye(3), target=target)
-    refuse(command("calibrate", "mine"), words)
+    refuse(command("calibrate", "mine"))
 
 
 @pytest.mark.slow
@@ -449,21 +409,21 @@ def test_solvers_of_lenses_decline_an_unknown_wall(tmp_path: Path) -> None:
     scene = calibration_scene(calibration=ERRORS | {"known": KNOWN})
     data = sabench.generate(scene, tmp_path / "boards", seed=1, backend="splat")
     assert sabench.score(data, "truth")["bound_px"] > 0.0
-    with pytest.raises(InputError, match="use refractive_autocal"):
+    with refused("refractive_autocal_alternating"):
         sabench.solve("refractive_autocal_alternating", data, tmp_path / "r.h5")
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "key"),
     [
-        ({"calibration": {"known_cameras": True}}, "known_cameras: expected cameras without"),
-        ({"calibration": EXACT | {"known_cameras": True, "unknown": ["k1"]}}, "known_cameras:"),
-        ({"calibration": {"wall_mm": 1.0}, "wall": None}, "expected one plane wall"),
+        ({"calibration": {"known_cameras": True}}, "known_cameras"),
+        ({"calibration": EXACT | {"known_cameras": True, "unknown": ["k1"]}}, "known_cameras"),
+        ({"calibration": {"wall_mm": 1.0}, "wall": None}, "wall"),
         ({"calibration": {"thickness_percent": 50.0}}, "thickness_percent"),
     ],
 )
-def test_impossible_errors_are_a_sentence(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_impossible_errors_are_a_sentence(changes: dict[str, Any], key: str) -> None:
+    with refused(key):
         calibration_scene(**changes)
 
 
@@ -471,13 +431,7 @@ def test_impossible_errors_are_a_sentence(changes: dict[str, Any], words: str) -
 def test_a_folder_with_known_cameras_finds_its_wall(command: Command, tmp_path: Path) -> None:
     case, cameras, places = make_tank()
     folder = tmp_path / "mine"
-    changes: dict[str, Any] = {
-        "array": None,
-        "cameras": None,
-        "known_cameras": "air.json",
-        "target_mm": [0.0, 0.0, 70.0],
-        "unknown": ["wall"],
-    }
+    changes = NO_CAMERAS | {"known_cameras": "air.json", "unknown": ["wall"]}
     wall = {"point_mm": [0.0, 0.0, -4.0], "fluid_index": 1.333}
     wall |= {"layers": [{"index": 1.5, "thickness_mm": 8.0}]}
     write(folder, with_places(case, places), np.eye(3), **changes, wall=wall)
@@ -497,31 +451,3 @@ def test_a_folder_with_known_cameras_finds_its_wall(command: Command, tmp_path: 
     first = " ".join(done.stdout.split())
     assert "The data hardly show the index of" in first
     assert "(standard deviation" in first
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"known_cameras": "air.json"}, "expected either known_cameras or array and cameras"),
-        ({"array": None}, "expected tables array and cameras, or known_cameras"),
-        ({"array": None, "cameras": None, "known_cameras": "air.json"}, "target_mm: expected it"),
-        (
-            {
-                "array": None,
-                "cameras": None,
-                "known_cameras": "no.json",
-                "target_mm": [0.0, 0.0, 70.0],
-            },
-            "no.json",
-        ),
-    ],
-)
-def test_faulty_known_cameras_are_a_sentence(
-    command: Command, tmp_path: Path, changes: dict[str, Any], words: str
-) -> None:
-    case, _, _ = make_tank()
-    write(tmp_path / "mine", case, np.eye(3), **changes)
-    done = command("calibrate", "mine")
-    assert done.returncode != 0
-    assert words in " ".join(done.stderr.split())
-    assert "Traceback" not in done.stderr

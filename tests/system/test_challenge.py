@@ -20,6 +20,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import read_json
 from tests.conftest import ROOT, Command
 from tests.helpers.commands import refuse, succeed
+from tests.helpers.refusals import refused
 
 SECRET = 'secret = "0123456789abcdef"\nseeds = 2\n'
 SUITE = """title = "Tracers: a \\"challenge\\" ü 😀"
@@ -27,18 +28,14 @@ backend = "splat"
 scenes = ["quick"]
 solvers = [{ name = "asa" }]
 """
-CARD = "".join(
-    f'{key} = "{text}"\n'
-    for key, text in {
-        "solver": "asa",
-        "paper": "none",
-        "code": "bundled",
-        "licence": "BSD-3-Clause",
-        "hardware": "a laptop",
-        "parameters": "defaults",
-        "training_data": "none",
-    }.items()
-)
+CARD = """solver = "asa"
+paper = "none"
+code = "bundled"
+licence = "BSD-3-Clause"
+hardware = "a laptop"
+parameters = "defaults"
+training_data = "none"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -154,15 +151,15 @@ def test_each_data_set_needs_one_result(organised: Path, submission: Path, tmp_p
     reference = unzipped(organised / "out" / "codabench.zip", tmp_path / "b") / "reference_data"
     sent = unzipped(submission, tmp_path / "sent")
     shutil.copyfile(sent / "data_000.h5", sent / "more.h5")
-    with pytest.raises(InputError, match=r"data_000: expected one result, got data_000\.h5 and mo"):
+    with refused("data_000", "more.h5"):
         score_submission(reference, sent, tmp_path / "scores")
     for name in ("more.h5", "data_000.h5"):
         (sent / name).unlink()
-    with pytest.raises(InputError, match="each of 2 data sets, got none for data_000"):
+    with refused("data_000"):
         score_submission(reference, sent, tmp_path / "scores")
     listed = read_json(reference / "challenge.json")
     (reference / "challenge.json").write_text(json.dumps(listed | {"sabench": "0"}), "utf-8")
-    with pytest.raises(InputError, match="expected sabench 0, got"):
+    with pytest.raises(InputError, match="sabench 0"):  # the sentence has the version
         score_submission(reference, sent, tmp_path / "scores")
     assert not (tmp_path / "scores").exists()
 
@@ -183,23 +180,20 @@ def test_commands_resume(
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"),
+    ("words", "key"),
     [
-        (("participate", "none.zip", "asa", "-o", "s.zip"), "folder or archive, found none"),
-        (("participate", ".", "asa", "-o", "s.zip"), "with a file challenge.json, found none"),
-        (("participate", "bad.zip", "asa", "-o", "s.tar"), "a name that ends in .zip"),
-        (("participate", "bad.zip", "asa", "-o", "s.zip"), "expected an intact .zip archive"),
-        (("challenge", "standard", "--hidden", "secret.toml", "-o", "out"), "expected solvers of"),
-        (
-            ("challenge", "suite.toml", "--hidden", "secret.toml", "-o", "o", "--task", "bubbles"),
-            "--task: expected one of reconstruction",
-        ),
+        ("participate none.zip asa -o s.zip", "none.zip"),
+        ("participate . asa -o s.zip", "challenge.json"),
+        ("participate bad.zip asa -o s.tar", "s.tar"),
+        ("participate bad.zip asa -o s.zip", "bad.zip"),
+        ("challenge standard --hidden secret.toml -o out", "standard"),
+        ("challenge suite.toml --hidden secret.toml -o o --task bubbles", "--task"),
     ],
 )
 def test_wrong_words_are_one_sentence(
-    words: tuple[str, ...], expected: str, command: Command, tmp_path: Path
+    words: str, key: str, command: Command, tmp_path: Path
 ) -> None:
     (tmp_path / "bad.zip").write_bytes(b"PK no archive")
     (tmp_path / "secret.toml").write_text(SECRET, encoding="utf-8")
     (tmp_path / "suite.toml").write_text(SUITE, encoding="utf-8")
-    refuse(command(*words), expected)
+    refuse(command(*words.split()), key)

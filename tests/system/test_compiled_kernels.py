@@ -11,8 +11,8 @@ from benchmarks.bounds_check import checked_environment
 from sabench.dataset.reader import Dataset
 from sabench.tasks.conformance import warm_up
 from sabench.tasks.solve_and_score import solve
-from sabench.utils.errors import InputError
 from sabench.utils.kernel_folder import kernel_folder
+from tests.helpers.refusals import refused
 
 PLUGIN = '''"""Compiles."""
 
@@ -39,14 +39,17 @@ class Compiler(Solver):
 '''
 
 
-@pytest.mark.slow
-def test_compilation_is_no_work(
-    quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The kernel compiles for about a second in every run, since it has no cache."""
+@pytest.fixture
+def solvers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
     (tmp_path / "solvers").mkdir()
-    (tmp_path / "solvers" / "compiler.py").write_text(PLUGIN)
+    return tmp_path / "solvers"
+
+
+@pytest.mark.slow
+def test_compilation_is_no_work(quick: Dataset, tmp_path: Path, solvers: Path) -> None:
+    """The kernel compiles for about a second in every run, since it has no cache."""
+    (solvers / "compiler.py").write_text(PLUGIN)
     made = solve("compiler", quick, tmp_path / "r.h5")
     assert made.compile_s is not None
     assert made.seconds is not None
@@ -80,10 +83,8 @@ class Waiting(Solver):
 
 
 @pytest.mark.slow
-def test_waits_are_no_work(quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
-    (tmp_path / "solvers").mkdir()
-    (tmp_path / "solvers" / "waiting.py").write_text(WAITING)
+def test_waits_are_no_work(quick: Dataset, tmp_path: Path, solvers: Path) -> None:
+    (solvers / "waiting.py").write_text(WAITING)
     made = solve("waiting", quick, tmp_path / "r.h5", threads=1)
     assert made.seconds is not None
     assert made.cpu_share is not None
@@ -100,7 +101,7 @@ def test_kernels_of_a_solver_are_stored() -> None:
 
 
 def test_an_unknown_solver_is_refused_before_anything_is_compiled() -> None:
-    with pytest.raises(InputError, match="nobody"):
+    with refused("nobody"):
         next(warm_up(["ray_triangulation", "nobody"]))
 
 

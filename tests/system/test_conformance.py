@@ -1,10 +1,12 @@
-"""The laws of solvers. Every bundled solver obeys them, and solvers that break one are caught."""
+"""The laws of solvers and of scores. Every bundled solver obeys them, solvers that break one are
+caught, and an estimate that knows nothing of the observations, wherever it lies and whatever it
+leaves out, ranks no better than the worst possible one or is refused."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from sabench import plugins, tasks
 from sabench.api import (
@@ -16,18 +18,20 @@ from sabench.api import (
     Velocity,
 )
 from sabench.api.make import make_algorithm
+from sabench.api.solvers import TaskName
 from sabench.dataset.reader import Dataset
+from sabench.dataset.results import open_result, result_writer
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.tasks import conformance
-from sabench.tasks.conformance import LAWS, Finding, check_solver, example, example_for, first_case
+from sabench.tasks import conformance, know_nothing
+from sabench.tasks.conformance import LAWS, Finding, check_solver, example
+from sabench.tasks.solve_and_score import score
 from tests.conftest import Command
 from tests.helpers.commands import refuse
+from tests.helpers.refusals import check_sentence, refused
 
 SOLVERS = plugins.names("solvers")
-SLOW = {"rim_fit"}  # a minute; tests/system/test_bubbles.py has it find bubbles
-DAILY = {"asa", "pinhole_linear"}  # the laws are the same for all
 
 
 @pytest.fixture(scope="session")
@@ -35,33 +39,28 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("examples")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=() if name in DAILY else pytest.mark.slow)
-        for name in SOLVERS
-        if name not in SLOW
-    ],
-)
+ONE_OF_EACH = {  # a fast solver of every task
+    "asa": "reconstruction",
+    "pinhole_linear": "calibration",
+    "ray_triangulation": "particles",
+    "piv3d_plain": "velocimetry",
+    "minimum_image": "bubbles",
+    "see_through": "see_through",
+}
+
+
+@pytest.mark.slow_but_first
+@pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_a_bundled_solver_obeys_the_laws(name: str, examples: Path) -> None:
-    if "not installed" in (_reason(name, examples) or ""):
-        pytest.skip("its program is not installed")
     broken = [one for one in check_solver(name, folder=examples) if one.verdict == "broken"]
     assert not broken, "\n".join(f"{one.law}: {one.text}" for one in broken)
 
 
-def _reason(name: str, examples: Path) -> str | None:
-    algorithm: Any = make_algorithm(name, {})
-    reason: str | None = algorithm.skip(first_case(name, example_for(name, examples)))
-    return reason
-
-
-@pytest.mark.parametrize("name", sorted(SLOW))
-def test_a_slow_solver_describes_itself(name: str, examples: Path) -> None:
+@pytest.mark.parametrize("name", SOLVERS)
+def test_every_bundled_solver_describes_itself(name: str, examples: Path) -> None:
     laws = (conformance.describe_itself,)
-    assert list(check_solver(name, folder=examples, laws=laws)) == [
-        Finding("describe itself", "obeyed")
-    ]
+    found = list(check_solver(name, folder=examples, laws=laws))
+    assert found == [Finding("describe itself", "obeyed")]
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +138,7 @@ def test_the_command_ends_with_1_for_a_broken_law(
     done = command("conform", "faulty")
     assert done.returncode == 1
     assert "broken   repeat itself: volume: expected the same values twice" in done.stdout
-    refuse(
-        command("conform", "nobody"),
-        "no solver is named 'nobody'",
-        "SABENCH_PLUGINS is the folder that holds solvers/nobody.py",
-    )
+    refuse(command("conform", "nobody"), "nobody", "SABENCH_PLUGINS")
 
 
 @pytest.mark.slow_but_first
@@ -172,17 +167,79 @@ def test_no_task_is_without_an_example() -> None:
 
 
 def test_estimates_name_their_wrong_arrays() -> None:
-    from sabench.utils.errors import InputError
-
-    with pytest.raises(InputError, match=r"trajectory: expected different numbers, got 4 2 times"):
+    with refused("trajectory"):
         FoundParticles(np.zeros((2, 3)), None, np.array([4, 4]))
-    with pytest.raises(InputError, match=r"semi_axes_mm: expected float64 of shape \(2, 3\)"):
+    with refused("semi_axes_mm"):
         Detections(np.zeros((2, 3)), np.ones((3, 3)), np.tile(np.eye(3), (2, 1, 1)))
     field = Velocity(
         (0.0,) * 3, (1.0,) * 3, np.full((2, 3, 4, 3), np.nan), np.ones((2, 3, 4), bool)
     )
-    with pytest.raises(InputError, match="velocity_mm_s: expected finite values, got 72"):
+    with refused("velocity_mm_s"):
         field.check()
-    with pytest.raises(InputError, match="volume: expected float32 of shape"):
+    with refused("volume"):
         Reconstruction(np.zeros((4, 3, 2), np.float32)).check(z=2, y=3, x=4)
     assert CalibrationSolver.task == "calibration"
+
+
+SHOWN = [(name, tasks.of(name).shown) for name in tasks.NAMES]
+CASES = [
+    pytest.param(*case, marks=() if case[0] == "see_through" else pytest.mark.slow)
+    for case in (*SHOWN, ("calibration", "particles"))
+]
+# the rounding of a calibration that is moved along the wall, which no image shows
+ROUNDING = 1e-9
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("examples")
+
+
+def rank_after(own: tuple[bool, float], other: tuple[bool, float]) -> bool:
+    return own[0] > other[0] or (own[0] == other[0] and own[1] >= other[1] - ROUNDING)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "sees"), CASES)
+def test_who_knows_nothing_ranks_no_better_than_nothing(
+    name: str, sees: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # what is drawn counts here, not where panels lie, which takes half of the time of a figure
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
+    task = tasks.of(name)
+    data = example(task, sees, folder)
+    worst = task.rank(task.score(data, "empty"))
+    out, better = tmp_path / "nothing.h5", []
+    for trial in know_nothing.try_all(task, data, out):
+        if trial.figures is None:
+            assert str(out) in trial.refusal, trial
+            assert "\n" not in trial.refusal
+            check_sentence(trial.refusal)
+            continue
+        if not rank_after(task.rank(trial.figures), worst):
+            better.append((trial.name, task.rank(trial.figures), worst))
+        numbers = [one for one in trial.figures.values() if isinstance(one, float)]
+        assert np.isfinite(numbers).all(), trial
+        if name == "reconstruction":  # peaks and intensities from nothing are bad, too
+            assert (trial.figures["peak_f1"] or 0.0) < 0.05, trial
+            assert trial.figures["intensity_error"] is not None
+            assert trial.figures["intensity_error"] > 0.8, trial
+        task.picture(data, open_result(out, data))
+    assert not better
+
+
+@pytest.mark.slow_but_first
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [("see_through", "reconstruction"), ("bubbles", "reconstruction"), ("particles", "bubbles")],
+)
+def test_a_result_of_a_task_that_the_data_set_cannot_serve_is_named(
+    name: TaskName, shown: str, folder: Path, tmp_path: Path
+) -> None:
+    task = tasks.of(shown)
+    data: Dataset = example(task, task.shown, folder)
+    out = tmp_path / "result.h5"
+    with result_writer(out, data, "nobody", name, {}) as writer:
+        writer.add(task.empty(data, 0), 0)
+    with refused("task", name):
+        score(data, out)

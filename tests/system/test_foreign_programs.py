@@ -15,21 +15,18 @@ from sabench.interop.export import Format, export
 from sabench.interop.foreign import ForeignFormatWarning, read_world
 from sabench.interop.tracks import TrackFormat, import_result
 from sabench.scenes import load_scene
+from sabench.simulation.pipeline import generate
 from sabench.tasks import of
 from sabench.tasks.solve_and_score import score
-from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.commands import succeed
+from tests.helpers.refusals import check_sentence, refused
 
-TRACKS: tuple[TrackFormat, ...] = (
-    *("openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"),
-)
+PROGRAMS: tuple[Any, ...] = ("openptv", "openlpt", "myptv", "lpt-challenge")
 
 
 @pytest.fixture(scope="module")
 def tank(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    from sabench.simulation.pipeline import generate
-
     scene = load_scene("particle-tracking").with_frames(6)
     return generate(scene, tmp_path_factory.mktemp("tank") / "data", seed=1, backend="splat")
 
@@ -50,7 +47,7 @@ def export_quietly(tank: Dataset, out: Path, result: Path | None, to: Format) ->
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("form", TRACKS)
+@pytest.mark.parametrize("form", [*PROGRAMS, "netcdf", "mat", "csv"])
 def test_a_result_comes_back(form: TrackFormat, tank: Dataset, truth: Path, tmp_path: Path) -> None:
     folder = export_quietly(tank, tmp_path / "out", truth, form)
     import_result(tank, folder, tmp_path / "back.h5", form, solver="someone")
@@ -91,7 +88,7 @@ def test_openlpt_solves_an_exported_project(tank: Dataset, tmp_path: Path) -> No
     assert figures["link_precision"] > 0.9
 
 
-@pytest.mark.parametrize("form", ["openptv", "openlpt", "myptv", "lpt-challenge"])
+@pytest.mark.parametrize("form", PROGRAMS)
 def test_what_a_program_gets_has_no_truth(form: Format, tank: Dataset, tmp_path: Path) -> None:
     folder = export_quietly(tank, tmp_path / "out", None, form)
     names = {path.name for path in folder.rglob("*") if path.is_file()}
@@ -105,55 +102,54 @@ def test_what_a_program_gets_has_no_truth(form: Format, tank: Dataset, tmp_path:
 @pytest.mark.slow
 def test_export_and_import(tank: Dataset, truth: Path, tmp_path: Path, command: Command) -> None:
     done = succeed(command("export", tank.root, truth, "--to", "openptv", "-o", tmp_path / "out"))
-    assert "note: openptv: its camera files do not carry f-numbers" in done.stderr
+    assert "note: openptv" in done.stderr
     found = tmp_path / "found.h5"
     done = succeed(
         command("import-result", tank.root, tmp_path / "out", "--from", "openptv", "-o", found)
     )
     assert f"{found}: " in done.stdout
     assert "particles in 6 frames" in done.stdout
-    done = succeed(command("score", tank.root, found, "--json"))
+    succeed(command("score", tank.root, found, "--json"))
 
 
 CSV = "frame,particle,x,y,z\n"
 
 
-def refused(tank: Dataset, text: str, folder: Path, **more: Any) -> str:
-    (folder / "found.csv").write_text(text, encoding="utf-8")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ForeignFormatWarning)
-        with pytest.raises(InputError) as error:
-            import_result(tank, folder / "found.csv", folder / "out.h5", "csv", **more)
-    assert not (folder / "out.h5").exists()
-    return str(error.value)
-
-
-def test_wrong_results_are_one_sentence(tank: Dataset, tmp_path: Path) -> None:
-    metres = "".join(f"{frame},{frame},0.001,0.002,0.030\n" for frame in range(3))
-    said = refused(tank, CSV + metres, tmp_path)
-    assert "0 % of them in the volume, and 100 % if they are in m: give the unit" in said
-    said = refused(tank, CSV + "3,1,1,2,30\n9,1,1,2,30\n", tmp_path)
-    assert "expected the 6 frames of the data set, from 3 on, got frames 3 to 9" in said
-    said = refused(tank, CSV + "3,1,1,2,30\n", tmp_path, first=4)
-    assert "expected the 6 frames of the data set, from 4 on, got frames 3 to 3" in said
-    said = refused(tank, CSV + "0,1,1,2,30\n0,1,1,1,30\n", tmp_path)
-    assert "frame 0: trajectory: expected different numbers, got 1 2 times" in said
-    assert "expected particles, found none" in refused(tank, CSV, tmp_path)
+@pytest.mark.filterwarnings("ignore::sabench.interop.foreign.ForeignFormatWarning")
+@pytest.mark.parametrize(
+    ("rows", "more", "key"),
+    [
+        ("0,0,0.001,0.002,0.030\n1,1,0.001,0.002,0.030\n", {}, "unit"),
+        ("3,1,1,2,30\n9,1,1,2,30\n", {}, "frames 3 to 9"),
+        ("3,1,1,2,30\n", {"first": 4}, "from 4 on"),
+        ("0,1,1,2,30\n0,1,1,1,30\n", {}, "frame 0: trajectory"),
+        ("", {}, "found.csv"),
+    ],
+    ids=["metres", "frames", "first", "twice", "none"],
+)
+def test_wrong_results_are_one_sentence(
+    tank: Dataset, tmp_path: Path, rows: str, more: dict[str, Any], key: str
+) -> None:
+    (tmp_path / "found.csv").write_text(CSV + rows, encoding="utf-8")
+    with refused(key):
+        import_result(tank, tmp_path / "found.csv", tmp_path / "out.h5", "csv", **more)
+    assert not (tmp_path / "out.h5").exists()
 
 
 def test_missing_frames_and_other_axes_are_said(tank: Dataset, tmp_path: Path) -> None:
-    text = CSV + "0,1,1,2,30\n1,1,1,2,30\n3,1,1,2,30\n"
-    (tmp_path / "found.csv").write_text(text, encoding="utf-8")
-    with pytest.warns(ForeignFormatWarning, match="no particles in the frames 2, 4, 5"):
-        import_result(tank, tmp_path / "found.csv", tmp_path / "out.h5", "csv")
-    rows = "".join(f"{frame},1,1,-2,-30\n" for frame in range(6))
-    (tmp_path / "found.csv").write_text(CSV + rows, encoding="utf-8")
-    with pytest.warns(ForeignFormatWarning, match="0 % of the particles lie in the volume"):
-        import_result(tank, tmp_path / "found.csv", tmp_path / "two.h5", "csv")
+    missing = "0,1,1,2,30\n1,1,1,2,30\n3,1,1,2,30\n"
+    for name, rows, key in (
+        ("missing", missing, "frames 2, 4, 5"),
+        ("axes", "".join(f"{frame},1,1,-2,-30\n" for frame in range(6)), "volume"),
+    ):
+        (tmp_path / "found.csv").write_text(CSV + rows, encoding="utf-8")
+        with pytest.warns(ForeignFormatWarning, match=key) as caught:
+            import_result(tank, tmp_path / "found.csv", tmp_path / f"{name}.h5", "csv")
+        check_sentence(str(caught[0].message))
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("program", ["openptv", "openlpt", "myptv", "lpt-challenge"])
+@pytest.mark.parametrize("program", PROGRAMS)
 def test_a_project_of_another_program_is_imported(
     tank: Dataset, tmp_path: Path, command: Command, program: Format
 ) -> None:

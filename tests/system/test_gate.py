@@ -4,6 +4,7 @@ nothing has changed, and the figure where one has."""
 import json
 import sys
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 # pytest within pytest forgets what it has loaded, and parts of these can be loaded only once
@@ -71,7 +72,7 @@ def test_a_check_is_silent_until_something_got_worse(
 ) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
     words = ("check", "tiny.toml")
-    refuse(command(*words), "--update makes one")
+    refuse(command(*words), "--update")
     made = succeed(command(*words, "--update"))
     assert made.stdout == "tiny: 1 data sets, 1 results: baseline written to tiny.baseline.json\n"
     silent = command(*words, "--junit", "ok.xml")
@@ -87,22 +88,18 @@ def test_a_check_is_silent_until_something_got_worse(
     assert ElementTree.parse(algorithms / "bad.xml").getroot().get("failures") == "1"
 
 
-def test_a_baseline_of_another_suite_is_bad_input(
-    algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        (("--baseline", ROOT / "leaderboard/baselines/ci.json"), "tiny"),
+        (("--baseline", "base.json", "--update", "--solver", "piv3d"), "velocimetry"),
+    ],
+)
+def test_what_is_not_of_the_suite_is_bad_input(
+    algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch, words: Any, key: str
 ) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
-    refuse(
-        command("check", "tiny.toml", "--baseline", ROOT / "leaderboard/baselines/ci.json"),
-        "expected a baseline of the suite tiny, got one of ci",
-    )
-
-
-def test_solvers_that_no_case_is_for_are_bad_input(
-    algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
-    words = ("check", "tiny.toml", "--baseline", "base.json", "--update", "--solver", "piv3d")
-    refuse(command(*words), "got only some of the task velocimetry")
+    refuse(command("check", "tiny.toml", *words), key)
 
 
 @pytest.mark.slow
@@ -130,7 +127,7 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(
     (pytester.path / "base.json").unlink()
     missing = pytester.runpytest_inprocess(*run)
     missing.assert_outcomes(failed=1)
-    missing.stdout.fnmatch_lines(["*base.json: expected a baseline of suite tiny*"])
+    missing.stdout.fnmatch_lines(["*base.json: expected*tiny*"])
     missing.stdout.no_fnmatch_line("*gates/baseline.py*")  # no traceback
 
 

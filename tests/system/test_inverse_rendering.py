@@ -26,6 +26,7 @@ from sabench.utils.backend import choose, drjit
 from tests.conftest import ROOT
 from tests.helpers.image_model import SIGMA, TYPICAL, profile
 from tests.helpers.particle_box import CAMERAS, COLUMNS, HIGH, LOW, ROWS, unit_points
+from tests.helpers.refusals import check_sentence
 from tests.system.test_bayesian_ipr import make_shot
 
 PIXEL_MM = 0.05
@@ -248,13 +249,11 @@ def test_cameras_that_cannot_be_rendered_are_skipped() -> None:
     case = make_shot(22, particles={"per_pixel": 0.001}).observation
     first = case.cameras[0]
     assert isinstance(first, Camera)
-    glass = Layer("glass", 1.52, 5.0)
-    cylinder = CylinderWall((0.0, 0.0, 60.0), (0.0, 1.0, 0.0), 60.0, 1.0, (glass,), 1.33)
+    cylinder = CylinderWall((0.0, 0.0, 60.0), (0.0, 1.0, 0.0), 60.0, 1.0, (GLASS,), 1.33)
     points = np.random.default_rng(1).uniform([-2.0, -2.0, 18.0], [2.0, 2.0, 22.0], (20, 3))
     pixels = first.project(points)[0]
     linear = fit_projective("flat", first.rows, first.columns, points, pixels)
-    curved = f"{first.name} looks through a wall that is not plane"
-    assert reason(case, replace(first, wall=cylinder), 4) == curved
-    assert reason(case, linear, 4) == "flat is no pinhole"
-    assert reason(case, None, 2) == "it needs three cameras"
+    check_sentence(reason(case, replace(first, wall=cylinder), 4) or "", first.name)
+    check_sentence(reason(case, linear, 4) or "", "flat")
+    check_sentence(reason(case, None, 2) or "")
     assert reason(case, None, 4) is None

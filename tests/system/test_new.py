@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from sabench.api import Observation
 from sabench.api.make import make_solver
 from sabench.evaluation.solver_card import read_card
 from sabench.scenes import load_scene
@@ -78,12 +77,9 @@ def test_a_solver_passes_its_tests_and_a_worse_one_does_not(made: Callable[[str]
 
 def test_a_folder_that_is_there_is_kept(command: Command, tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
-    assert command("new", "solver", "here").returncode == 2
+    refuse(command("new", "solver", "here"), "here")
     assert list((tmp_path / "here").iterdir()) == []
-    refuse(
-        command("new", "solvers", "there"),
-        "expected one of scene, solver, suite, gate, got 'solvers'",
-    )
+    refuse(command("new", "solvers", "there"), "solvers")
 
 
 def test_a_scene_is_the_bundled_one(command: Command, tmp_path: Path) -> None:
@@ -91,10 +87,10 @@ def test_a_scene_is_the_bundled_one(command: Command, tmp_path: Path) -> None:
     assert done.stdout == "tank.toml: the scene cylinder-tank, to be changed\n", done.stderr
     bundled = ROOT / "scenes" / "cylinder-tank.toml"
     assert (tmp_path / "tank.toml").read_bytes() == bundled.read_bytes()
-    assert command("new", "scene", "tank.toml").returncode == 2
+    refuse(command("new", "scene", "tank.toml"), "tank.toml")
     assert (tmp_path / "tank.toml").read_bytes() == bundled.read_bytes()
     assert command("new", "scene", "quick.toml").returncode == 0
-    refuse(command("new", "solver", "mine", "--like", "quick"), "--like: expected with a scene")
+    refuse(command("new", "solver", "mine", "--like", "quick"), "--like")
 
 
 EXAMPLES = ROOT / "examples/plugins"
@@ -137,21 +133,12 @@ def test_copied_plug_ins_are_listed_run_and_scored(
     scores = json.loads(command("score", "data", "found.h5", "--json").stdout)
     assert scores["parameters"] == {"floor": 0.1}
     assert scores["true_percent"] > 80.0
-
-
-@pytest.fixture
-def case(monkeypatch: pytest.MonkeyPatch) -> Observation:
-    monkeypatch.setenv("SABENCH_PLUGINS", str(EXAMPLES))
-    return simulate(load_scene("quick"), seed=5).observation
-
-
-@pytest.mark.slow
-def test_the_solver_obeys_the_laws_of_all_solvers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SABENCH_PLUGINS", str(EXAMPLES))
     assert not [one for one in check_solver("min_los") if one.verdict == "broken"]
 
 
-def test_one_camera_is_refused_with_a_reason(case: Observation) -> None:
+def test_one_camera_is_refused_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(EXAMPLES))
+    case = simulate(load_scene("quick"), seed=5).observation
     one = replace(case, images=case.images[:1], cameras=case.cameras[:1])
     assert make_solver("min_los", {}).skip(one)
     assert make_solver("min_los", {}).skip(case) is None

@@ -17,27 +17,20 @@ from sabench.tasks.particles_over_time import find_in_each_frame
 from sabench.tasks.solver_call import SolverClock
 from sabench.utils.arrays import F64
 from sabench.utils.errors import DeclinedError
+from tests.helpers.refusals import check_sentence, refused
 from tests.helpers.small_particles import count_found, make_small
 
 SOLVERS = ["bayesian_ipr", "shake_the_box"]
 FRAMES = 3
-ELSEWHERE, UNEXPLAINED = "elsewhere; the camera is left out", "got light that they do not explain"
 
 both = pytest.mark.parametrize("solver", SOLVERS)
-# a single frame is searched alike by both
-search = pytest.mark.parametrize("solver", SOLVERS[:1])
 
 
-def solve(solver: str, frames: Sequence[Observation]) -> list[FoundParticles]:
+def solve(frames: Sequence[Observation], solver: str = SOLVERS[0]) -> list[FoundParticles]:
+    """A single frame is searched alike by both solvers."""
     sequence, each = ImageSequence.of([*frames]), range(len(frames))
     algorithm = make_algorithm(solver, {})
     return list(find_in_each_frame(algorithm, solver, sequence, each, SolverClock()))
-
-
-def decline(solver: str, case: Observation) -> str:
-    with pytest.raises(DeclinedError) as caught:
-        solve(solver, [case])
-    return str(caught.value)
 
 
 def with_images(case: Observation, images: npt.ArrayLike) -> Observation:
@@ -73,15 +66,16 @@ def draw(case: Observation, points: F64, noise: float = 2.2) -> Observation:
 def test_fewer_than_three_cameras_are_declined(solver: str, cameras: int) -> None:
     case = make_small(1).observation
     few = replace(case, images=case.images[:cameras], cameras=case.cameras[:cameras])
-    assert decline(solver, few).endswith("it needs three cameras")
+    with refused(solver, kind=DeclinedError):
+        solve([few], solver)
 
 
-@search
-def test_cameras_without_a_common_view_are_declined(solver: str) -> None:
+def test_cameras_without_a_common_view_are_declined() -> None:
     case = make_small(1).observation
     for camera, columns in enumerate([-200.0, 200.0, -600.0, 600.0]):
         case = shifted(case, camera, columns)
-    assert "three cameras that see the same part of the grid, got 0" in decline(solver, case)
+    with refused(SOLVERS[0], kind=DeclinedError):
+        solve([case])
 
 
 @both
@@ -89,63 +83,53 @@ def test_cameras_without_a_common_view_are_declined(solver: str) -> None:
 def test_uniform_images_give_no_particles(solver: str, level: float) -> None:
     case = make_small(1).observation
     uniform = with_images(case, np.full(case.images.shape, level))
-    assert [len(one.position_mm) for one in solve(solver, [uniform] * FRAMES)] == [0] * FRAMES
+    assert [len(one.position_mm) for one in solve([uniform] * FRAMES, solver)] == [0] * FRAMES
 
 
 @pytest.mark.slow
 @both
 @pytest.mark.parametrize(
-    ("layout", "noise", "level"), [((2, 2), 0.4, 64.0), ((2, 2), 2.2, 94.0), ((3, 3), 20.0, 94.0)]
+    ("layout", "rows", "noise", "level"),
+    [((2, 2), 60, 0.4, 64.0), ((2, 2), 120, 5.0, 94.0), ((3, 3), 60, 20.0, 94.0)],
 )
 def test_noise_is_no_light(
-    solver: str, layout: tuple[int, int], noise: float, level: float
+    solver: str, layout: tuple[int, int], rows: int, noise: float, level: float
 ) -> None:
-    case = make_small(1, 1e-5, layout).observation
+    """Neither on black nor on a raised background."""
+    case = make_small(1, 1e-5, layout, cameras={"rows": rows, "columns": rows * 4 // 3}).observation
     rng = np.random.default_rng(5)
     frames = [with_images(case, rng.normal(level, noise, case.images.shape)) for _ in range(FRAMES)]
-    assert [len(one.position_mm) for one in solve(solver, frames)] == [0] * FRAMES
+    assert [len(one.position_mm) for one in solve(frames, solver)] == [0] * FRAMES
 
 
-@pytest.mark.slow
-@search
-@pytest.mark.parametrize("layout", [(2, 2), (3, 3)])
-def test_a_bright_background_gives_no_particles(solver: str, layout: tuple[int, int]) -> None:
-    case = make_small(1, 1e-5, layout, cameras={"rows": 120, "columns": 160}).observation
-    for seed in range(3):
-        noise = np.random.default_rng(seed).normal(94.0, 5.0, case.images.shape)
-        assert len(solve(solver, [with_images(case, noise)])[0].position_mm) == 0
-
-
-@search
 @pytest.mark.parametrize("count", [1, 2])
-def test_one_and_two_particles_are_found(solver: str, count: int) -> None:
+def test_one_and_two_particles_are_found(count: int) -> None:
     case = make_small(1, 1e-5).observation
     points = np.array([[0.3, -0.4, 0.2], [-0.8, 0.5, -0.3]])[:count]
-    found = solve(solver, [draw(case, points)])[0]
+    found = solve([draw(case, points)])[0]
     apart = np.linalg.norm(found.position_mm[:, None] - points, axis=2)
     assert apart.shape == (count, count)
     assert apart.min(axis=0).max() < 0.05
 
 
 @pytest.mark.slow
-@search
-def test_saturated_particles_are_found(solver: str) -> None:
+def test_saturated_particles_are_found() -> None:
     shot = make_small(1)
     light = shot.observation.images.astype(np.float64) - 64.0
     case = with_images(shot.observation, np.minimum(64.0 + 150.0 * light, 4095.0))
     assert np.mean(case.images == 4095) > 0.1
-    counts = count_found(shot, solve(solver, [case])[0])
+    counts = count_found(shot, solve([case])[0])
     assert min(counts.recall, counts.precision) > 0.95
 
 
 @pytest.mark.slow_but_first
-@search
 @pytest.mark.parametrize("columns", [3.0, 1000.0])
-def test_a_camera_that_is_off_is_named_and_left_out(solver: str, columns: float) -> None:
+def test_a_camera_that_is_off_is_named_and_left_out(columns: float) -> None:
     shot = make_small(1)
-    with pytest.warns(UserWarning, match=f"camera_01: .*{ELSEWHERE}") as caught:
-        found = solve(solver, [shifted(shot.observation, 1, columns)])[0]
-    assert len(caught) == 1
+    with pytest.warns(UserWarning, match="camera_01") as caught:
+        found = solve([shifted(shot.observation, 1, columns)])[0]
+    (warning,) = caught
+    check_sentence(str(warning.message), "camera_01")
     counts = count_found(shot, found)
     assert min(counts.recall, counts.precision) > 0.97
     assert found.light is not None
@@ -156,19 +140,20 @@ def test_a_camera_that_is_off_is_named_and_left_out(solver: str, columns: float)
 @both
 def test_cameras_that_are_swapped_among_many_are_left_out(solver: str) -> None:
     shot = make_small(1, layout=(3, 3))
-    with pytest.warns(UserWarning, match=ELSEWHERE) as caught:
-        found = solve(solver, [swapped(shot.observation)])[0]
+    with pytest.warns(UserWarning, match="camera_0") as caught:
+        found = solve([swapped(shot.observation)], solver)[0]
     assert {str(one.message)[:9] for one in caught} == {"camera_00", "camera_01"}
     counts = count_found(shot, found)
     assert min(counts.recall, counts.precision) > 0.97
 
 
 @pytest.mark.slow
-@search
-def test_cameras_of_which_no_three_agree_are_reported(solver: str) -> None:
+def test_cameras_of_which_no_three_agree_are_reported() -> None:
     """Two of four are swapped: particles that all of them see would be by chance."""
-    with pytest.warns(UserWarning, match=UNEXPLAINED):
-        solve(solver, [swapped(make_small(1).observation)])
+    with pytest.warns(UserWarning, match="camera_0") as caught:
+        solve([swapped(make_small(1).observation)])
+    for warning in caught:
+        check_sentence(str(warning.message))
 
 
 def streaked(case: Observation, cameras: Sequence[int], steps: int, side: int) -> Observation:
@@ -186,61 +171,55 @@ def streaked(case: Observation, cameras: Sequence[int], steps: int, side: int) -
 
 
 @pytest.mark.slow
-@search
 @pytest.mark.parametrize(("cameras", "side"), [([2], 1), ([0, 1, 2, 3], -1)])
-def test_streaks_aslant_are_tilted_ellipses(solver: str, cameras: list[int], side: int) -> None:
+def test_streaks_aslant_are_tilted_ellipses(cameras: list[int], side: int) -> None:
     shot = make_small(1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = solve(solver, [streaked(shot.observation, cameras, 1, side)])[0]
+        found = solve([streaked(shot.observation, cameras, 1, side)])[0]
     counts = count_found(shot, found)
     assert counts.recall > 0.97
     assert counts.precision > 0.97  # as of streaks along columns; a model without tilt has 0.45
 
 
 @pytest.mark.slow
-@search
-def test_discs_out_of_focus_are_flat(solver: str) -> None:
+def test_discs_out_of_focus_are_flat() -> None:
     """Of 2.5 px radius; taken for Gaussians, a tenth of them are two and more particles."""
     shot = make_small(1, per_pixel=0.015)
     case, steps = shot.observation, np.mgrid[-3:4, -3:4].reshape(2, -1).T
     steps = steps[np.hypot(*steps.T) <= 2.5]
     images = np.mean([np.roll(case.images, step, (1, 2)) for step in steps], axis=0)
     noise = 2.0 * np.random.default_rng(1).standard_normal(images.shape)
-    found = solve(solver, [with_images(case, images + noise)])[0]
+    found = solve([with_images(case, images + noise)])[0]
     counts = count_found(shot, found)
     assert min(counts.recall, counts.precision) > 0.97
 
 
 @pytest.mark.slow
-@search
 @pytest.mark.parametrize("side", [1, -1])
-def test_long_streaks_aslant_in_a_camera_are_reported(solver: str, side: int) -> None:
-    sign = "+" if side > 0 else "-"
-    with pytest.warns(
-        UserWarning, match=f"camera_02: .*streaks across rows and columns .correlation [{sign}]0"
-    ) as caught:
-        solve(solver, [streaked(make_small(1).observation, [2], 6, side)])
-    assert len(caught) == 1
+def test_long_streaks_aslant_in_a_camera_are_reported(side: int) -> None:
+    with pytest.warns(UserWarning, match="camera_02") as caught:
+        solve([streaked(make_small(1).observation, [2], 6, side)])
+    (warning,) = caught
+    check_sentence(str(warning.message), "camera_02", "+0" if side > 0 else "-0")
 
 
 @pytest.mark.slow
-@search
-def test_particles_outside_the_grid_are_reported(solver: str) -> None:
+def test_particles_outside_the_grid_are_reported() -> None:
     small = make_small(1).observation
     large = make_small(1, volume={"size_mm": [6.0, 6.0, 8.0]}).observation
-    with pytest.warns(UserWarning, match="that the grid holds all particles"):
-        solve(solver, [replace(large, grid=small.grid)])
+    with pytest.warns(UserWarning, match="grid") as caught:
+        solve([replace(large, grid=small.grid)])
+    check_sentence(str(caught[0].message), "grid")
 
 
 @pytest.mark.slow_but_first
-@search
 @pytest.mark.parametrize(("seed", "layout"), [(2, (3, 1)), (3, (3, 3))])
-def test_right_cameras_are_not_reported(solver: str, seed: int, layout: tuple[int, int]) -> None:
+def test_right_cameras_are_not_reported(seed: int, layout: tuple[int, int]) -> None:
     shot = make_small(seed, layout=layout)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        counts = count_found(shot, solve(solver, [shot.observation])[0])
+        counts = count_found(shot, solve([shot.observation])[0])
     assert counts.recall > 0.97
 
 
@@ -256,7 +235,7 @@ def equal(one: FoundParticles, other: FoundParticles) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", SOLVERS[1:])
 def test_a_long_budget_changes_nothing(solver: str) -> None:
     assert equal(solve_within(solver, None, 2)[1], solve_within(solver, 1e6, 2)[1])
 

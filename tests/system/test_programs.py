@@ -1,9 +1,7 @@
 """Programs in other languages, submissions, and their cards."""
 
 import datetime
-import functools
 import json
-import re
 import shutil
 import subprocess
 import sys
@@ -16,7 +14,6 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import estimate_hash
 from sabench.dataset.schema import identity_of, seal
@@ -24,13 +21,12 @@ from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.records import append, latest, read_records
 from sabench.evaluation.solver_card import read_card
 from sabench.scenes import load_scene, parse_scene
-from sabench.tasks import of
 from sabench.tasks.external_programs import run_program
 from sabench.utils.errors import InputError, UncheckedError
 from sabench.utils.processes.program import Limits
 from tests.conftest import ROOT, Command
-from tests.helpers.commands import succeed
-from tests.system.test_faults import check_sentence
+from tests.helpers.commands import refuse, succeed
+from tests.helpers.refusals import check_sentence, refused
 
 EXAMPLES = ROOT / "examples"
 HEADERS = next((path.parent for path in Path("/usr/include").rglob("hdf5.h")), None)
@@ -60,33 +56,6 @@ with h5py.File(result, "w") as file:
 """
 
 
-def test_a_program_sees_the_observation_side_only(quick: Dataset, tmp_path: Path) -> None:
-    copy_observation(quick, tmp_path / "view")
-    seen = sorted(
-        path.relative_to(tmp_path / "view").as_posix()
-        for path in (tmp_path / "view").rglob("*")
-        if path.is_file()
-    )
-    assert seen == [
-        "cameras.json",
-        *(f"images/frame_0000/camera_0{number}.tif" for number in range(4)),
-        "manifest.json",
-    ]
-    head = json.loads((tmp_path / "view/manifest.json").read_text())
-    assert sorted(head.pop("files")) == seen[:-1]
-    assert len(head.pop("manifest_hash")) == 64
-    assert head == {
-        "format": "sabench-dataset",
-        "version": 1,
-        "side": "observation",
-        "content_hash": quick.content_hash,
-    }
-    for name in seen[:-1]:
-        assert (tmp_path / "view" / name).read_bytes() == (quick.root / name).read_bytes()
-        # a program that writes there spoils its own copy
-        assert not (tmp_path / "view" / name).samefile(quick.root / name)
-
-
 def test_a_result_is_taken_and_its_costs_are_measured(quick: Dataset, tmp_path: Path) -> None:
     program = write(
         tmp_path / "mine.py", WHOLE + "assert rest == ['k=3.5', 'mode=fast', 'on=true'], rest"
@@ -105,34 +74,31 @@ def test_a_result_is_taken_and_its_costs_are_measured(quick: Dataset, tmp_path: 
     assert scores["whole_process"] is made.whole_process is True
 
 
-BAD = [
-    ("pass", "expected its result at"),
-    ("os.symlink('/etc/passwd', result)", "expected its result at"),
-    ("open(result, 'w').write('no HDF5')", "expected an intact HDF5 file"),
-    (WHOLE.replace('"f4")', '"i4")'), "expected shape (40, 200, 280) of kind f, got"),
-    (
-        WHOLE.replace('np.zeros(rig["grid"]["shape"], "f4")', "np.zeros((4, 5, 6), 'f4')"),
-        "expected shape (40, 200, 280) of kind f, got (4, 5, 6)",
+BAD = {
+    "none": "pass",
+    "link": "os.symlink('/etc/passwd', result)",
+    "text": "open(result, 'w').write('no HDF5')",
+    "kind": WHOLE.replace('"f4")', '"i4")'),
+    "shape": WHOLE.replace('np.zeros(rig["grid"]["shape"], "f4")', "np.zeros((4, 5, 6), 'f4')"),
+    "NaN": WHOLE.replace("[0.0, 0.0, 30.0]", "[0.0, np.nan, 30.0]"),
+    "data set": WHOLE.replace('["content_hash"]', '["content_hash"][::-1]'),
+    "memory": WHOLE.replace("np.array([[0.0, 0.0, 30.0]])", "0.0").replace(
+        'file[f"frames/{frame:04d}/particles_mm"] = 0.0',
+        "file.create_dataset('frames/0000/particles_mm', (10**9, 3), 'f8', chunks=(1000, 3))",
     ),
-    (WHOLE.replace("[0.0, 0.0, 30.0]", "[0.0, np.nan, 30.0]"), "1 that are NaN or infinite"),
-    (WHOLE.replace('["content_hash"]', '["content_hash"][::-1]'), "expected a result of the data"),
-    (
-        WHOLE.split('        file[f"frames/{frame:04d}/particles')[0]
-        + (
-            "        file.create_dataset(f'frames/{frame:04d}/particles_mm', (10**9, 3), 'f8', "
-            "chunks=(1000, 3))"
-        ),
-        "MB",
-    ),
-    ("raise SystemExit('no cameras today')", "exit code 1; its last words: no cameras today"),
-]
+    "exit code": "raise SystemExit('no cameras today')",
+}
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize(("body", "words"), BAD, ids=[str(number) for number in range(len(BAD))])
-def test_no_result_leaves_nothing(quick: Dataset, tmp_path: Path, body: str, words: str) -> None:
-    program = write(tmp_path / "bad.py", body)
-    with pytest.raises(InputError, match=re.escape(words)):
+@pytest.mark.parametrize("what", BAD)
+def test_no_result_leaves_nothing(quick: Dataset, tmp_path: Path, what: str) -> None:
+    program = write(tmp_path / "bad.py", BAD[what])
+    # memory and the reversed hash change from one machine to the next
+    unsteady = what in ("memory", "data set")
+    with (
+        pytest.raises(InputError) if unsteady else refused("bad" if what == "exit code" else "r.h5")
+    ):
         run_program(str(program), quick, tmp_path / "r.h5", limits=Limits(time_s=60.0))
     assert list(tmp_path.iterdir()) == [program]
 
@@ -142,21 +108,14 @@ def test_the_command(quick: Dataset, command: Command, tmp_path: Path) -> None:
     write(tmp_path / "mine.py", WHOLE)
     done = succeed(command("solve", "./mine.py", quick.root, "-o", "r.h5"))
     assert "r.h5: mine," in done.stdout
-    check_sentence(command("solve", "./mine.py", quick.root, "-o", "r.h5"), "exists already")
-    check_sentence(
-        command("solve", "./other.py", quick.root, "-o", "s.h5"),
-        "expected an executable file, found none",
-    )
-    check_sentence(
-        command("solve", "msa", quick.root, "-o", "s.h5", "--time-limit", 5),
-        "limits for programs only",
-    )
+    where = (quick.root, "-o", "s.h5")
+    refuse(command("solve", "./mine.py", quick.root, "-o", "r.h5"), "r.h5")
+    refuse(command("solve", "./other.py", *where), "other.py")
+    refuse(command("solve", "msa", *where, "--time-limit", 5), "msa")
     write(tmp_path / "mine.py", "import time\ntime.sleep(60)")
-    check_sentence(
-        command("solve", "./mine.py", quick.root, "-o", "s.h5", "--time-limit", 0.5), "within 0.5 s"
-    )
+    refuse(command("solve", "./mine.py", *where, "--time-limit", 0.5), "mine", "0.5 s")
     (tmp_path / "mine.py").chmod(0o644)
-    check_sentence(command("solve", "./mine.py", quick.root, "-o", "s.h5"), "may not be executed")
+    refuse(command("solve", "./mine.py", *where), "mine.py")
 
 
 SUITE = """
@@ -183,66 +142,19 @@ def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     done = command("run", suite, "--json")
     assert done.returncode == 1, done.stderr
     mine, slow, asa = json.loads(done.stdout)
-    assert (mine["solver"], mine["parameters"], mine["error"], mine["q"]) == (
-        "mine",
-        {"k": 2},
-        None,
-        0.0,
-    )
+    named = {"solver": "mine", "parameters": {"k": 2}, "error": None, "q": 0.0}
+    assert mine.items() >= named.items()
     assert (slow["solver"], slow["label"], slow["declined"]) == ("slow", "slow one", False)
-    assert "within 0.5 s" in slow["error"]
+    check_sentence(slow["error"], "slow", "0.5 s")
     assert asa["q"] > 0.4
     assert (mine["whole_process"], asa["whole_process"]) == (True, False)
     assert str(tmp_path) not in json.dumps([mine["solver"], slow["solver"], slow["error"]])
     suite.write_text(SUITE.replace('task = "reconstruction", l', "l"))
-    check_sentence(command("run", suite), "slow.py: task: expected one of reconstruction")
+    refuse(command("run", suite), "slow.py: task")
     suite.write_text(SUITE.replace("slow.py", "none.py"))
-    check_sentence(command("run", suite), "none.py: expected an executable file")
+    refuse(command("run", suite), "none.py")
     suite.write_text(SUITE.replace('"asa"', '"asa", time_limit_s = 3.0'))
-    check_sentence(
-        command("run", suite),
-        "asa: expected task, time_limit_s and memory_limit_mb for programs only",
-    )
-
-
-@functools.cache
-def compiled(folder: Path) -> Path:
-    done = subprocess.run(
-        ["make", "-s", "-C", EXAMPLES / "cpp", f"BUILD={folder}"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert not done.stderr, done.stderr  # it compiles without warnings
-    return folder / "synthetic_aperture"
-
-
-@pytest.fixture(scope="module")
-def python_scores(quick: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("python")
-    wrapper = folder / "run"
-    wrapper.write_text(
-        "#!/bin/sh\n"
-        f'exec "{sys.executable}" "{EXAMPLES / "python" / "synthetic_aperture.py"}" "$@"\n'
-    )
-    wrapper.chmod(0o755)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SABENCH_VISIBLE", str(EXAMPLES))
-        run_program(str(wrapper), quick, folder / "r.h5", parameters={"k": 3.0})
-    return sabench.score(quick, folder / "r.h5")
-
-
-@pytest.mark.slow
-def test_the_python_example_scores_as_the_bundled_solver_does(
-    quick: Dataset, python_scores: dict[str, Any], tmp_path: Path
-) -> None:
-    """The same algorithm with linear instead of cubic interpolation."""
-    sabench.solve("msa", quick, tmp_path / "msa.h5", parameters={"k": 3.0})
-    bundled = sabench.score(quick, tmp_path / "msa.h5")
-    assert python_scores["q"] == pytest.approx(bundled["q"], abs=0.03)
-    assert python_scores["recall"] == pytest.approx(bundled["recall"], abs=0.02)
-    assert python_scores["precision"] == pytest.approx(bundled["precision"], abs=0.02)
+    refuse(command("run", suite), "asa", "time_limit_s")
 
 
 @pytest.mark.slow
@@ -250,40 +162,38 @@ def test_the_python_example_scores_as_the_bundled_solver_does(
     not (shutil.which("g++") and shutil.which("make") and HEADERS),
     reason="g++, make or the headers of libhdf5 are not there",
 )
-def test_the_cpp_example_scores_as_the_python_example_does(
-    quick: Dataset, python_scores: dict[str, Any], tmp_path: Path
+def test_both_examples_score_as_the_bundled_solver_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_program(str(compiled(tmp_path)), quick, tmp_path / "r.h5", parameters={"k": 3.0})
-    scores = sabench.score(quick, tmp_path / "r.h5")
-    for column in of("reconstruction").columns:
-        if column.key not in ("seconds", "peak_mb"):
-            assert scores[column.key] == pytest.approx(python_scores[column.key], rel=1e-6), (
-                column.key
-            )
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(
-    not (shutil.which("g++") and shutil.which("make") and HEADERS),
-    reason="g++, make or the headers of libhdf5 are not there",
-)
-def test_both_examples_take_tilted_sensors(tmp_path: Path) -> None:
+    """The same algorithm with linear instead of cubic interpolation, on tilted sensors."""
     values = load_scene("quick").to_dict()
     lens = {"k1": -2.0, "p2": 0.05}
     values["cameras"]["each"] = [
         {"camera": f"camera_0{n}", "tilt_deg": [20.0 - 10.0 * n, 9.0 * n], "distortion": lens}
         for n in range(4)
     ]
+    values["volume"]["size_mm"], values["particles"]["count"] = [9.0, 7.0, 2.0], 150
     data = sabench.generate(parse_scene(values, "tilted"), tmp_path / "data", backend="splat")
-    python = [sys.executable, str(EXAMPLES / "python" / "synthetic_aperture.py")]
-    volumes = []
-    for number, program in enumerate((python, [str(compiled(tmp_path))])):
-        result = tmp_path / f"{number}.h5"
-        subprocess.run([*program, str(data.root), str(result)], check=True)
-        with h5py.File(result) as file:
+    make = ["make", "-s", "-C", EXAMPLES / "cpp", f"BUILD={tmp_path}"]
+    done = subprocess.run(make, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")  # it compiles without warnings
+    python, script = tmp_path / "run", EXAMPLES / "python" / "synthetic_aperture.py"
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{script}" "$@"\n')
+    python.chmod(0o755)
+    monkeypatch.setenv("SABENCH_VISIBLE", str(EXAMPLES))
+    volumes, own = [], {"k": 3.0}
+    for number, program in enumerate((python, tmp_path / "synthetic_aperture")):
+        run_program(str(program), data, tmp_path / f"{number}.h5", parameters=own)
+        with h5py.File(tmp_path / f"{number}.h5") as file:
             volumes.append(file["frames/0000/volume"][...])
     assert volumes[0].max() > 0.0
     np.testing.assert_allclose(volumes[1], volumes[0], rtol=0, atol=1e-5 * volumes[0].max())
+    sabench.solve("msa", data, tmp_path / "msa.h5", parameters=own)
+    bundled, *scores = (sabench.score(data, tmp_path / f"{name}.h5") for name in ("msa", 0, 1))
+    for one in scores:
+        assert one["q"] == pytest.approx(bundled["q"], abs=0.03)
+        assert one["recall"] == pytest.approx(bundled["recall"], abs=0.02)
+        assert one["precision"] == pytest.approx(bundled["precision"], abs=0.02)
 
 
 @pytest.mark.slow
@@ -315,14 +225,14 @@ def test_all_of_a_submission_or_nothing(quick: Dataset, quick_result: Path, tmp_
     folder.mkdir()
     shutil.copy(quick_result, folder / "a.h5")
     (folder / "b.h5").write_bytes(b"no result")
-    with pytest.raises(InputError, match=r"b\.h5"):
+    with refused("b.h5"):
         submit(folder, "Ann", [quick.root], tmp_path / "board")
     shutil.copy(quick_result, folder / "b.h5")
-    with pytest.raises(InputError, match="one result for each data set"):
+    with refused("a.h5", "b.h5"):
         submit(folder, "Ann", [quick.root], tmp_path / "board")
     with h5py.File(folder / "b.h5", "r+") as file:
         file.attrs["dataset"] = file.attrs["identity"] = "0" * 64
-    with pytest.raises(InputError, match="none there has the hash '000000000"):
+    with refused("000000000"):
         submit(folder, "Ann", [quick.root], tmp_path / "board")
     assert not (tmp_path / "board").exists()
 
@@ -331,43 +241,25 @@ def test_changed_data_scores_nothing(quick: Dataset, quick_result: Path, tmp_pat
     copy = Path(shutil.copytree(quick.root, tmp_path / "copy"))
     with h5py.File(copy / "truth.h5", "r+") as file:
         file["frames/0000/position_mm"][...] = np.zeros_like(file["frames/0000/position_mm"])
-    with pytest.raises(InputError, match="an intact data set"):
+    with refused("truth.h5"):
         submit(quick_result, "Ann", [copy], tmp_path / "board")
+
+
+def recorded(data: Dataset, board: Path, **values: Any) -> None:
+    """A record of somebody's result on a data set."""
+    known = {"scene_hash": data.manifest.scene_hash, "solver": "asa", "parameters": {}}
+    known |= {"run_hash": "ab", "versions": {}, "machine": {}}
+    append(board / "records" / "a.jsonl", known | values)
 
 
 @pytest.mark.slow
 def test_the_case_comes_from_a_record(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
-    known = {
-        "format": "sabench-record",
-        "version": 2,
-        "task": "reconstruction",
-        "suite": "tank",
-        "case": "dense",
-        "scene": "quick",
-        "difficulty": "hard",
-        "axis": "density",
-        "axes": {"a": 1},
-        "scene_hash": quick.manifest.scene_hash,
-        "dataset": quick.content_hash,
-        "seed": 0,
-        "split": "hidden",
-        "renderer": "mitsuba",
-        "solver": "asa",
-        "parameters": {},
-        "run_hash": "ab",
-        "versions": {},
-        "machine": {},
-        "q": 0.99,
-    }
-    (tmp_path / "board" / "records").mkdir(parents=True)
-    (tmp_path / "board" / "records" / "a.jsonl").write_text(json.dumps(known) + "\n")
+    case = {"case": "dense", "difficulty": "hard", "seed": 0, "split": "hidden"}
+    more = {"suite": "tank", "scene": "quick", "axis": "density", "axes": {"a": 1}, "q": 0.99}
+    more |= {"dataset": quick.content_hash, "renderer": "mitsuba", "task": "reconstruction"}
+    recorded(quick, tmp_path / "board", **case, **more)
     (standing,) = submit(quick_result, "Ann", [quick.root], tmp_path / "board")
-    assert {key: standing.record[key] for key in ("case", "difficulty", "seed", "split")} == {
-        "case": "dense",
-        "difficulty": "hard",
-        "seed": 0,
-        "split": "hidden",
-    }
+    assert standing.record.items() >= case.items()
     assert (standing.rank, standing.of, standing.best) == (2, 2, ("asa", 0.99))
 
 
@@ -389,21 +281,13 @@ def test_a_private_data_set_is_not_disclosed(
     (standing,) = submit(quick_result, "Ann", [root], board)
     texts = [path.read_text() for path in board.rglob("*") if path.is_file()]
     assert len(texts) >= 2  # records and page
-    for secret in (
-        str(seed),
-        str(data.identity),
-        data.manifest.scene_hash,
-        "finals",
-        str(tmp_path),
-    ):
+    secrets = (str(seed), str(data.identity), data.manifest.scene_hash, "finals", str(tmp_path))
+    for secret in secrets:
         assert not any(secret in text for text in texts), secret
     assert "quick" not in (board / "records" / "submitted.jsonl").read_text()
-    assert (standing.record["case"], standing.record["split"], standing.record["seed"]) == (
-        f"private-{data.content_hash[:12]}",
-        "hidden",
-        0,
-    )
-    assert "recorded as private-" in " ".join(capsys.readouterr().err.split())
+    named = {"case": f"private-{data.content_hash[:12]}", "split": "hidden", "seed": 0}
+    assert standing.record.items() >= named.items()
+    assert named["case"] in " ".join(capsys.readouterr().err.split())
     (again,) = submit(quick_result, "Bob", [root], board)
     assert again.record["case"] == standing.record["case"]
     assert not any(str(seed) in path.read_text() for path in board.rglob("*.jsonl"))
@@ -411,27 +295,11 @@ def test_a_private_data_set_is_not_disclosed(
 
 @pytest.mark.slow
 def test_a_recorded_seed_is_public(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
-    root = Path(shutil.copytree(quick.root, tmp_path / "copy"))
+    root, board = Path(shutil.copytree(quick.root, tmp_path / "copy")), tmp_path / "board"
     seed = make_private(root, 77).manifest.seed
-    known = {
-        "scene": "mine",
-        "scene_hash": quick.manifest.scene_hash,
-        "dataset": "made on another machine",
-        "seed": seed,
-        "renderer": "splat",
-        "solver": "asa",
-        "parameters": {},
-        "run_hash": "ab",
-        "versions": {},
-        "machine": {},
-    }
-    append(tmp_path / "board" / "records" / "a.jsonl", known)
-    (standing,) = submit(quick_result, "Ann", [root], tmp_path / "board")
-    assert (standing.record["scene"], standing.record["seed"], standing.record["split"]) == (
-        "quick",
-        77,
-        "public",
-    )
+    recorded(quick, board, scene="mine", dataset="of another machine", seed=seed, renderer="splat")
+    (standing,) = submit(quick_result, "Ann", [root], board)
+    assert standing.record.items() >= {"scene": "quick", "seed": 77, "split": "public"}.items()
 
 
 @pytest.mark.slow
@@ -439,7 +307,7 @@ def test_later_submissions_replace_none(quick: Dataset, quick_result: Path, tmp_
     board, day = tmp_path / "board", datetime.date(2026, 1, 2)
     submit(quick_result, "Ann", [quick.root], board, date=day)
     for name in ("Ann", " Ann "):
-        with pytest.raises(InputError, match="expected the first result of today by Ann"):
+        with refused("Ann"):
             submit(quick_result, name, [quick.root], board, date=day)
     submit(quick_result, "Bob", [quick.root], board, date=day)
     submit(quick_result, "Ann", [quick.root], board, date=day + datetime.timedelta(1))
@@ -449,17 +317,6 @@ def test_later_submissions_replace_none(quick: Dataset, quick_result: Path, tmp_
         ("Bob", "2026-01-02"),
         ("Ann", "2026-01-03"),
     ]
-
-
-def test_what_could_not_be_checked_is_not_called_damaged(
-    quick: Dataset, quick_result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def late(root: Path) -> None:
-        raise UncheckedError(f"{root}: could not be checked, because reading it takes long")
-
-    monkeypatch.setattr("sabench.dataset.verification.probe_dataset", late)
-    with pytest.raises(UncheckedError):
-        submit(quick_result, "Ann", [quick.root], tmp_path / "board")
 
 
 CARD = """solver = "mine"
@@ -475,6 +332,14 @@ backend = "splat"
 scenes = ["quick"]
 solvers = [{ name = "asa" }]
 """
+
+
+@pytest.mark.usefixtures("late_probe")
+def test_what_could_not_be_checked_is_not_called_damaged(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(UncheckedError):
+        submit(quick_result, "Ann", [quick.root], tmp_path / "board")
 
 
 def renamed(result: Path, place: Path, solver: str) -> Path:
@@ -507,28 +372,28 @@ def test_a_card_is_packed_recorded_and_shown(
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "key"),
     [
-        (CARD.replace("licence", "license"), "license: unknown key; did you mean licence?"),
-        (CARD.replace('code = "closed"\n', ""), "code: this key is missing"),
-        (CARD.replace('"none"', "3", 1), "licence: expected a valid string"),
-        (CARD.replace("by eye", r"\u0007"), "parameters: expected one line of printable text"),
-        (CARD.replace("closed", ""), "code: expected one line"),
-        ("x" * 200_000, "expected a solver card in TOML, got more than 100000 bytes"),
-        (CARD.replace('"mine"', '"other"'), "expected the solver of a result"),
-        (None, "expected a solver card in TOML, got No such file"),
+        (CARD.replace("licence", "license"), "license"),
+        (CARD.replace('code = "closed"\n', ""), "code"),
+        (CARD.replace('"none"', "3", 1), "licence"),
+        (CARD.replace("by eye", r"\u0007"), "parameters"),
+        (CARD.replace("closed", ""), "code"),
+        ("x" * 200_000, "card.toml"),
+        (CARD.replace('"mine"', '"other"'), "other"),
+        (None, "card.toml"),
     ],
+    ids=["typo", "missing", "number", "bell", "empty", "long", "other solver", "none"],
 )
 def test_a_bad_card_is_one_sentence(
-    text: str | None, words: str, quick: Dataset, quick_result: Path, tmp_path: Path
+    text: str | None, key: str, quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:
     card = tmp_path / "card.toml"
     if text is not None:
         card.write_text(text, encoding="utf-8")
     result = renamed(quick_result, tmp_path / "r.h5", "mine")
-    with pytest.raises(InputError) as fault:
+    with refused(key) as fault:
         submit(result, "Ann", [quick.root], tmp_path / "board", cards=[card])
-    assert words in str(fault.value)
     assert "\n" not in str(fault.value)
     assert not (tmp_path / "board").exists()
 

@@ -26,6 +26,7 @@ from sabench.utils.arrays import F64
 from tests.helpers.bubble_scenes import small
 from tests.helpers.calibration_cases import calibration_scene, case_of
 from tests.helpers.light_sheets import GRID, image_pair, tank_camera
+from tests.helpers.refusals import check_sentence
 from tests.helpers.small_particles import make_small, rotate_cameras, rotate_rig
 from tests.unit.algorithms.calibration.test_factorisation import air
 from tests.unit.algorithms.particles.test_defocusing import sparse_shot
@@ -63,14 +64,6 @@ def rotate_field(field: Any, rotation: F64) -> Any:
     return turned.transpose(2, 1, 0, *range(3, field.ndim))
 
 
-def one_frame(case: Observation) -> ImageSequence:
-    return ImageSequence(case.cameras, case.grid, (0.0,), lambda _: case)
-
-
-def two_frames(case: Observation) -> ImageSequence:
-    return ImageSequence(case.cameras, case.grid, (0.0, 1.0), lambda _: case)
-
-
 @pytest.mark.parametrize(
     ("name", "rotation"),
     [*((name, ROTATIONS[0]) for name in TOMOGRAPHY), (TOMOGRAPHY[0], ROTATIONS[1])],
@@ -83,23 +76,29 @@ def test_tomography_follows_the_rig(case: Observation, name: str, rotation: F64)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rotation", ROTATIONS[1:])
-def test_tomography_of_two_exposures_follows_the_rig(case: Observation, rotation: F64) -> None:
+def test_tomography_of_two_exposures_follows_the_rig(case: Observation) -> None:
     sizes = {"first_window": [8] * 3, "window": [8] * 3, "passes": 1, "repeats": 1}
     solver = make("mte_mart", sizes)
-    volumes = [found.volume for found in solver.solve(two_frames(case))]
-    turned = [found.volume for found in solver.solve(two_frames(rotate_rig(case, rotation)))]
+    volumes, turned = (
+        [found.volume for found in solver.solve(ImageSequence.of([one, one], 1.0))]
+        for one in (case, rotate_rig(case, ROTATIONS[1]))
+    )
     for one, other in zip(volumes, turned, strict=True):
-        assert np.abs(other - rotate_field(one, rotation)).max() < 2e-3 * one.max()
+        assert np.abs(other - rotate_field(one, ROTATIONS[1])).max() < 2e-3 * one.max()
+
+
+def distances_in(name: str, case: Observation, rotation: F64) -> F64:
+    """How far found particles are from those found in the rotated rig, rotated back."""
+    (found,) = make(name).solve(ImageSequence.of([case]))
+    (turned,) = make(name).solve(ImageSequence.of([rotate_rig(case, rotation)]))
+    assert len(found.position_mm) == len(turned.position_mm)
+    return np.asarray(cKDTree(turned.position_mm @ rotation).query(found.position_mm)[0])
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS)
 def test_triangles_follow_the_apertures(rotation: F64) -> None:
-    case, solver = sparse_shot().observation, make("ddpiv")
-    (found,) = solver.solve(one_frame(case))
-    (turned,) = solver.solve(one_frame(rotate_rig(case, rotation)))
-    assert len(found.position_mm) == len(turned.position_mm) > 20
-    distances = cKDTree(turned.position_mm @ rotation).query(found.position_mm)[0]
+    distances = distances_in("ddpiv", sparse_shot().observation, rotation)
+    assert len(distances) > 20
     assert distances.max() < 1e-6
 
 
@@ -109,16 +108,14 @@ def test_triangles_follow_the_apertures(rotation: F64) -> None:
     [*((name, ROTATIONS[0]) for name in PARTICLES), (PARTICLES[0], ROTATIONS[1])],
 )
 def test_particles_follow_the_rig(case: Observation, name: str, rotation: F64) -> None:
-    (found,) = make(name).solve(one_frame(case))
-    (turned,) = make(name).solve(one_frame(rotate_rig(case, rotation)))
-    assert len(found.position_mm) == len(turned.position_mm) > 50
-    distances = cKDTree(turned.position_mm @ rotation).query(found.position_mm)[0]
+    distances = distances_in(name, case, rotation)
+    assert len(distances) > 50
     assert np.quantile(distances, 0.9) < 2e-4
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rotation", ROTATIONS[:1])
-def test_self_calibration_follows_the_rig(rotation: F64) -> None:
+def test_self_calibration_follows_the_rig() -> None:
+    rotation = ROTATIONS[0]
     case = make_small(
         3, 0.012, (3, 2), cameras={"rows": 120, "columns": 160}, volume={"size_mm": [8.0, 6.0, 2.0]}
     ).observation
@@ -165,20 +162,11 @@ def test_calibrations_follow_the_rig(name: str) -> None:
             np.testing.assert_allclose(again, pixels, rtol=0.0, atol=1e-6)
 
 
-def test_polynomials_along_z_refuse_cameras_that_look_across_it() -> None:
-    case = case_of(calibration_scene())[0]
-    assert make("soloff").skip(case) is None
-    reason = make("soloff").skip(rotate_boards(case, ROTATIONS[0]))
-    assert reason is not None
-    assert reason.startswith("its polynomial is quadratic along Z, and c")
-
-
-def test_boards_across_z_are_no_planes_of_it() -> None:
-    case = air()[0]
-    assert make("plane_parallax").skip(case) is None
-    reason = make("plane_parallax").skip(rotate_boards(case, ROTATIONS[0]))
-    assert reason is not None
-    assert reason.startswith("expected a frame of one Z")
+def test_polynomials_and_planes_of_z_refuse_cameras_that_look_across_it() -> None:
+    boards = case_of(calibration_scene())[0]
+    for name, case in (("soloff", boards), ("plane_parallax", air()[0])):
+        assert make(name).skip(case) is None
+        check_sentence(make(name).skip(rotate_boards(case, ROTATIONS[0])))
 
 
 @pytest.mark.slow
@@ -235,9 +223,7 @@ def test_a_light_sheet_follows_the_rig(rotation: F64) -> None:
 def test_planes_seen_edge_on_are_refused(case: Observation, name: str) -> None:
     solver = make(name)
     assert solver.skip(case) is None
-    reason = solver.skip(rotate_rig(case, ROTATIONS[0]))
-    assert reason is not None
-    assert reason.startswith("it refocuses planes of constant Z, which c")
+    check_sentence(solver.skip(rotate_rig(case, ROTATIONS[0])))
 
 
 PIXEL_MM = 0.05
@@ -247,18 +233,12 @@ def find_in(case: Observation) -> FoundParticles:
     return reconstruct_most_probable(case, fit_cameras(case), BayesianIprSettings())
 
 
-def nearest_mm(positions: F64, others: F64) -> F64:
-    return np.asarray(cKDTree(others).query(positions)[0])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "rotation",
     [
         [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-        [[-1, 0, 0], [0, 0, 1], [0, 1, 0]],
         [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
-        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
         [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
     ],
 )
@@ -291,8 +271,8 @@ def test_any_rotation_finds_nearly_the_same_particles() -> None:
     last = np.asarray(case.grid.shape[::-1]) - 1
     inside = ((turned > low) & (turned < low + voxel * last)).all(axis=1)
     assert len(found) > 200
-    assert np.mean(nearest_mm(found, turned) < 0.2 * PIXEL_MM) > 0.97
-    assert np.mean(nearest_mm(turned[inside], found) < 0.2 * PIXEL_MM) > 0.97
+    for here, there in ((found, turned), (turned[inside], found)):
+        assert np.mean(cKDTree(there).query(here)[0] < 0.2 * PIXEL_MM) > 0.97
 
 
 def test_axes_of_a_rig_follow_its_images() -> None:

@@ -24,9 +24,9 @@ from sabench.scenes import build_rig, load_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solver_call import call_solver
-from sabench.utils.errors import InputError
 from tests.conftest import pinholes
 from tests.helpers.calibration_cases import calibration_scene, case_of
+from tests.helpers.refusals import check_sentence, refused
 
 TANKS = ("cylinder-tank", "two-faces", "free-surface")
 
@@ -87,18 +87,12 @@ def test_particles_are_found_as_behind_a_plane_wall(name: str, shots: dict[str, 
     ("name", "solver"), [*((name, "msa") for name in TANKS), (TANKS[0], "block_mart")]
 )
 def test_volumes_are_as_behind_a_plane_wall(name: str, solver: str, shots: dict[str, Shot]) -> None:
-    plane, own = (
-        score_frame(
-            shots[one].observation.grid,
-            shots[one].particles,
-            shots[one].views,
-            solve(solver, shots[one].observation),
-        )["q"]
-        for one in ("quick", name)
-    )
-    assert plane is not None
-    assert own is not None
-    assert own > plane - 0.03
+    found = []
+    for one in (shots["quick"], shots[name]):
+        made = solve(solver, one.observation)
+        scores = score_frame(one.observation.grid, one.particles, one.views, made)
+        found.append(scores["q"] or 0.0)
+    assert found[1] > found[0] - 0.03
 
 
 @pytest.mark.parametrize("name", ["cylinder-tank", "two-faces"])
@@ -118,26 +112,24 @@ def test_damaged_walls_are_named(tmp_path: Path) -> None:
     bent = [dataclasses.asdict(camera.wall) for camera in cameras if camera.wall]
     bent[1] |= {"normal": [0.0, 0.0, 2.0]}
     round_wall = CylinderWall((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 1.0, (), 1.333)
-    for walls, sentence in (
-        (bent[:3], "wall: expected one, or one for each of 4 cameras, got 3"),
-        (bent, "wall: expected a unit normal and positive indices and thicknesses"),
-        ([dataclasses.asdict(round_wall) | {"axis": [1.0, 1.0, 0.0]}] * 4, "a unit axis"),
-        ([dataclasses.asdict(round_wall) | {"outer_radius_mm": -1.0}] * 4, "positive radii"),
+    for walls in (
+        bent[:3],
+        bent,
+        [dataclasses.asdict(round_wall) | {"axis": [1.0, 1.0, 0.0]}] * 4,
+        [dataclasses.asdict(round_wall) | {"outer_radius_mm": -1.0}] * 4,
     ):
         camera_files.write_cameras(tmp_path / schema.CAMERAS, cameras, wall=walls, **keys)
-        with pytest.raises(InputError, match=sentence):
+        with refused("wall"):
             camera_files.read_cameras(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "got"), [("cylinder-tank", "a cylinder"), ("two-faces", "cameras behind different")]
-)
-def test_what_needs_one_plane_wall_declines(name: str, got: str) -> None:
+@pytest.mark.parametrize("name", ["cylinder-tank", "two-faces"])
+def test_what_needs_one_plane_wall_declines(name: str) -> None:
     cameras = pinholes(build_rig(load_scene(name)).cameras)
     scene = calibration_scene(cameras={"layout": {"kind": "line", "count": 4, "spacing_mm": 80.0}})
     case = replace(case_of(scene)[0], cameras=cameras)
     solver = plugins.load("solvers", "refractive_autocal_alternating")
-    with pytest.raises(DeclinedError, match=f"declines this case: it needs one .*, got {got}"):
+    with refused(solver.name, kind=DeclinedError):
         call_solver(solver(solver.Parameters()), solver.name, case, object)
 
 
@@ -145,10 +137,8 @@ def test_programs_for_plane_walls_decline() -> None:
     cylinder, faces = (
         pinholes(build_rig(load_scene(name)).cameras) for name in ("cylinder-tank", "two-faces")
     )
-    assert openlpt.unfit(cylinder[0]) == "OpenLPT supports plane walls, and this wall is a cylinder"
-    assert openptv.unfit(cylinder[0]) == "OpenPTV supports plane walls, and this wall is a cylinder"
     assert openptv.unlike(faces) is None
     other = dataclasses.replace(faces[2], wall=None)
-    assert openptv.unlike((*faces[:2], other)) == (
-        "OpenPTV supports one kind of wall, and camera_02 has another than camera_00"
-    )
+    check_sentence(openlpt.unfit(cylinder[0]) or "", "OpenLPT")
+    check_sentence(openptv.unfit(cylinder[0]) or "", "OpenPTV")
+    check_sentence(openptv.unlike((*faces[:2], other)) or "", "camera_02", "camera_00")
