@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from sabench.scenes import Scene, build_rig, parse_scene
-from sabench.simulation.camera_view import lights_of, render, tank_of
+from sabench.simulation.camera_view import lights_of, render_camera_view, tank_of
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering import bubbles_traced
 from sabench.utils.arrays import F64
@@ -56,7 +56,7 @@ def measure_frame(count: int, error: float | None) -> dict[str, float]:
     start = time.perf_counter()
     for number, camera in enumerate(rig.cameras):
         if error is None:
-            view = render(frame, number)
+            view = render_camera_view(frame, number)
             shown.append((view.photons, (view.sight and view.sight.error) or 0.0))
         else:
             given = camera, tank, bubbles, (), lights, error, 1000 * number

@@ -24,15 +24,15 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     refine,
     residuals,
 )
-from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.cramer_rao import compute_bound
 from sabench.algorithms.calibration.joint_fit import adjust
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.scenes import build_rig, parse_scene
 from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
-from sabench.worlds.calibration_targets import exact_pixels, place
+from sabench.worlds.calibration_targets import exact_pixels, pose_target
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -64,9 +64,9 @@ def median_s(work: Callable[[], object], repeats: int = 15) -> float:
     return float(np.median(times))
 
 
-def truth_of(given: Board) -> tuple[Frame, State, BoardImages]:
+def truth_of(given: Board) -> tuple[WallFrame, State, BoardImages]:
     """Compute the true state and exact images of a draw."""
-    frame = Frame.from_cameras(given.cameras, given.points_mm)
+    frame = WallFrame.from_cameras(given.cameras, given.points_mm)
     board_mm = given.case.target.points_mm
     weights = np.asarray(np.isfinite(given.exact).all(axis=-1), dtype=np.float64)
     return (
@@ -92,7 +92,7 @@ def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()
     }
     for seed in range(1, draws + 1):
         _, state, seen = truth_of(board.__wrapped__(cameras, 0.3, 0.0, 0.0, seed))
-        bound = limit(state, seen, free, noise)
+        bound = compute_bound(state, seen, free, noise)
         rng = np.random.default_rng(seed)
         noisy = replace(seen, pixels=seen.pixels + noise * rng.standard_normal(seen.pixels.shape))
         fit = refine(state, noisy, free)
@@ -200,7 +200,7 @@ def measure_time(cameras: int, frames: int) -> dict[str, Any]:
     """Measure median seconds of a calibration, and of the parts of a step."""
     values = scene_of(cameras, 0.3, 0.1, 0.1).to_dict() | {"frames": frames}
     scene = parse_scene(values, "timed")
-    rig, placed = build_rig(scene), place(scene, 1)
+    rig, placed = build_rig(scene), pose_target(scene, 1)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in rig.cameras])
     rng = np.random.default_rng(1)
     weights = np.asarray(np.isfinite(exact).all(axis=-1), dtype=np.float64)
@@ -210,7 +210,7 @@ def measure_time(cameras: int, frames: int) -> dict[str, Any]:
         weights,
     )
     initial = placed.points_mm + 5.0 * rng.standard_normal(placed.points_mm.shape)
-    start = Frame.from_cameras(rig.cameras, initial).state(placed.target.points_mm, initial)
+    start = WallFrame.from_cameras(rig.cameras, initial).state(placed.target.points_mm, initial)
     fit = adjust(start, seen, FreeParameters()).fit
     step = median_s(lambda: normal_equations(start, seen, FreeParameters()))
     count, local = float(seen.weights.sum()), 13

@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 from benchmarks.calibration_reality import NOISE_PX, WALL, Errors, guess, make_tank  # noqa: E402
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages  # noqa: E402
-from sabench.algorithms.calibration.cramer_rao import limit  # noqa: E402
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters  # noqa: E402
+from sabench.algorithms.calibration.cramer_rao import compute_bound  # noqa: E402
+from sabench.algorithms.calibration.parameters import FreeParameters, WallFrame  # noqa: E402
 from sabench.algorithms.calibration.problem import make_anchors  # noqa: E402
 from sabench.api import CalibrationCase  # noqa: E402
 from sabench.api.make import make_algorithm  # noqa: E402
@@ -97,12 +97,12 @@ def _wall_bound(
     cameras: tuple[Camera, ...], points: F64, case: CalibrationCase
 ) -> tuple[FreeParameters, F64]:
     """Compute the unknowns and their bound at the truth."""
-    frame, free = Frame.from_cameras(cameras, points), FreeParameters.from_case(case)
+    frame, free = WallFrame.from_cameras(cameras, points), FreeParameters.from_case(case)
     state, board = frame.state(case.target.points_mm, points), case.target.points_mm
     anchors = make_anchors(case, frame, NOISE_PX)
     pixels, weights = np.nan_to_num(case.pixels), case.found.astype(np.float64)
     seen = BoardImages(board, pixels, weights, anchors)
-    return free, limit(state, seen, free, NOISE_PX).shared_std
+    return free, compute_bound(state, seen, free, NOISE_PX).shared_std
 
 
 def measure_wall(seeds: int) -> list[dict[str, Any]]:

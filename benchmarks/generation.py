@@ -34,7 +34,7 @@ from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import put_together
 from sabench.simulation.recording.parts import Job, Parts
 from sabench.simulation.recording.recorders import record_task, recorder_of
-from sabench.simulation.recording.schedule import ProcessPool, Schedule, Task, run_schedule
+from sabench.simulation.recording.schedule import ProcessPool, RecordingTask, Schedule, run_schedule
 from sabench.utils.progress import progress_bar
 
 _FLOW = {
@@ -83,7 +83,7 @@ def worked_off(scene: Scene, folder: Path, jobs: int) -> float:
         ProcessPool(folder, jobs, threads=1),
     )
     for number in pool.idle():
-        pool.give(number, Task(0))
+        pool.give(number, RecordingTask(0))
     for _ in range(jobs):
         pool.wait()
     start = time.perf_counter()
@@ -157,7 +157,7 @@ def measure_tasks(scene: Scene, folder: Path) -> Times:
     job.write(folder)
     recorder = recorder_of(scene, 1, "splat", "benchmark")
     schedule = Schedule(scene.frames, recorder.views, chained=recorder.chained, ahead=1)
-    took: list[tuple[Task, float]] = []
+    took: list[tuple[RecordingTask, float]] = []
     for _ in progress_bar(range(schedule.tasks), "time tasks"):
         task = schedule.take(took[-1][0].frame if took else None)
         assert task is not None
@@ -199,7 +199,7 @@ def simulate_workers(
         0.0,
     )
     idle, last = list(range(workers)), dict.fromkeys(range(workers), -1)
-    running: list[tuple[float, int, Task]] = []
+    running: list[tuple[float, int, RecordingTask]] = []
     while not schedule.finished:
         while idle and (task := schedule.take(last[idle[-1]])) is not None:
             worker, kind = idle.pop(), times.truth if task.camera is None else times.view

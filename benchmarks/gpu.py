@@ -58,7 +58,7 @@ def particles() -> Measured:
     for seed in (1, 2):
         frame = Frames(scene, rig, seed, "mitsuba").at(0)
         for camera in range(len(rig.cameras)):
-            took, view = _timed(lambda: camera_view.render(frame, camera))  # noqa: B023
+            took, view = _timed(lambda: camera_view.render_camera_view(frame, camera))  # noqa: B023
             seconds.append(took)
             shown.append(view.photons)
     half = len(rig.cameras)

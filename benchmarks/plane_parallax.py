@@ -18,7 +18,7 @@ from sabench.geometry.camera import aim
 from sabench.geometry.lens import Distortion
 from sabench.scenes import build_rig, load_scene, parse_scene
 from sabench.utils.confidence import mean_of
-from sabench.worlds.calibration_targets import exact_pixels, place
+from sabench.worlds.calibration_targets import exact_pixels, pose_target
 
 NOISE_PX, AIM = 0.1, (0.0, 0.0, 35.0)
 LEVEL = {"tilt_deg": 0.0, "roll_deg": 0.0, "wander": 0.3}
@@ -34,7 +34,7 @@ def make_case(
         values.pop("wall")
     scene, rng = parse_scene(values, "benchmark"), np.random.default_rng(seed)
     cameras = [move(one, off_mm * rng.standard_normal(), k1) for one in build_rig(scene).cameras]
-    placed = place(scene, seed)
+    placed = pose_target(scene, seed)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in cameras])
     pixels = exact + NOISE_PX * rng.standard_normal(exact.shape)
     nothing = np.full(placed.points_mm.shape, np.nan)

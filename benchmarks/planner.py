@@ -191,7 +191,7 @@ def _rounded(values: F64) -> list[float]:
     return [float(f"{value:.6g}") for value in values]
 
 
-def _scores(scenes: Sequence[dict[str, Any]], score: model.Score) -> F64:
+def _scores(scenes: Sequence[dict[str, Any]], score: model.ExpectedScore) -> F64:
     """Average a score over the draws of each scene, NaN where it was not measured.
 
     Ghosts are per true particle, and their mean is the geometric one.
@@ -199,7 +199,7 @@ def _scores(scenes: Sequence[dict[str, Any]], score: model.Score) -> F64:
     return np.array([_mean(score.score, _draws(one, score)) for one in scenes])
 
 
-def _draws(scene: dict[str, Any], score: model.Score) -> F64:
+def _draws(scene: dict[str, Any], score: model.ExpectedScore) -> F64:
     values = np.array(scene["scores"].get(score.solver, {}).get(score.score, []))
     return values / (100.0 if score.score == "ghosts" else 1.0)
 
@@ -208,7 +208,7 @@ def _mean(score: str, values: F64) -> float:
     if not len(values):
         return float("nan")
     if score == "ghosts":
-        return float(model.unlink(score, model.link(score, values).mean()))
+        return float(model.unlink(score, model.link_function(score, values).mean()))
     return float(values.mean())
 
 
@@ -227,7 +227,7 @@ def report(record: dict[str, Any]) -> None:
         print(f"{key}, not fitted: {_compare(score, _scores(others, score), expected)}")
 
 
-def _compare(score: model.Score, measured: F64, expected: F64) -> str:
+def _compare(score: model.ExpectedScore, measured: F64, expected: F64) -> str:
     """Describe errors: ghosts by factors, where there are more than some."""
     known = np.isfinite(measured)
     if score.score == "ghosts":

@@ -54,7 +54,10 @@ def particles(scene: Scene, rig: Rig) -> dict[str, float]:
 
 
 def _images(frame: FrameContent) -> list[float]:
-    return [_cpu(partial(camera_view.render, frame, k)) for k in range(len(frame.rig.cameras))]
+    return [
+        _cpu(partial(camera_view.render_camera_view, frame, k))
+        for k in range(len(frame.rig.cameras))
+    ]
 
 
 def _path_to_balls(scene: Scene, rig: Rig) -> float:

@@ -110,7 +110,7 @@ def compare_renderers(scene: Scene, rig: Rig, number: int) -> Comparison:
     for renderer in ("splat", "mitsuba"):
         start = time.perf_counter()
         frame = FrameContent(scene, rig, number, 0, renderer, tracers=tracers)
-        views.append(camera_view.render(frame, number))
+        views.append(camera_view.render_camera_view(frame, number))
         seconds = time.perf_counter() - start
     formula, traced = (moments(view.photons, nodes) for view in views)
     images = views[0].particles

@@ -36,10 +36,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import sabench
 from benchmarks.generation import Times, measure_independent, round_all, simulate_workers, small
 from sabench.dataset.schema import FileEntry, ShardOrigin, shard_file
-from sabench.dataset.shards import Kept, ShardFolder, describe
+from sabench.dataset.shards import ShardContents, ShardFolder, describe_shard
 from sabench.scenes import load_scene
 from sabench.simulation.recording.parts import Job
-from sabench.simulation.recording.schedule import ProcessPool, Schedule, Task, run_schedule
+from sabench.simulation.recording.schedule import ProcessPool, RecordingTask, Schedule, run_schedule
 from sabench.simulation.sample_shards import generate_samples, merge_shards
 from sabench.simulation.shard_job import ShardJob, ShardMaker
 from sabench.utils.progress import progress_bar
@@ -162,12 +162,12 @@ def growth(folder: Path, samples: int) -> dict[str, Any]:
 
 def _job(samples: int, size: int) -> ShardJob:
     own = Job(load_scene("quick"), 1, "splat", "quick")
-    return ShardJob(own, samples, _SHARES, size, Kept())
+    return ShardJob(own, samples, _SHARES, size, ShardContents())
 
 
 def _seconds(maker: ShardMaker, number: int) -> float:
     start = time.perf_counter()
-    maker(Task(number))
+    maker(RecordingTask(number))
     return time.perf_counter() - start
 
 
@@ -182,7 +182,7 @@ def merge_s(job: ShardJob, root: Path) -> float:
             shard_file(side, shard.name): FileEntry(bytes=1, sha256="0" * 64)
             for side in ("observation", "truth")
         }
-        note = ShardOrigin(seed=1, key=key, entry=describe(shard, files))
+        note = ShardOrigin(seed=1, key=key, entry=describe_shard(shard, files))
         (root / "entries" / f"{shard.name}.json").write_text(note.model_dump_json())
     start = time.perf_counter()
     merge_shards(job, folder)
@@ -192,20 +192,20 @@ def merge_s(job: ShardJob, root: Path) -> float:
 def exchange_s(folder: Path) -> float:
     """Measure the seconds that another process's task takes beyond its own work."""
     own = Job(small(1), 1, "splat", "small")
-    job, root = ShardJob(own, 2000, _SHARES, 2, Kept()), folder / "exchange"
+    job, root = ShardJob(own, 2000, _SHARES, 2, ShardContents()), folder / "exchange"
     job.write(root)
     _work_off(job, root)
     again = _work_off(job, root)
     maker, start = ShardMaker(job, root), time.perf_counter()
     for number in range(len(job.shards)):
-        maker(Task(number))
+        maker(RecordingTask(number))
     return max(again - (time.perf_counter() - start), 0.0) / len(job.shards)
 
 
 def _work_off(job: ShardJob, root: Path) -> float:
     pool = ProcessPool(root, 1, threads=1)
     for worker in pool.idle():
-        pool.give(worker, Task(0))
+        pool.give(worker, RecordingTask(0))
     pool.wait()
     start = time.perf_counter()
     schedule = Schedule(len(job.shards), 0, chained=False, ahead=pool.ahead)

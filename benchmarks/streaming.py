@@ -33,7 +33,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from sabench.scenes import Scene, build_rig, parse_scene
-from sabench.simulation.camera_view import record_image, render
+from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.in_memory import record_frame
 from sabench.simulation.shard_job import stream
@@ -202,7 +202,7 @@ def compare_streams(seconds: float) -> None:
 
 def frame_rates(frame: FrameContent, seconds: float) -> list[float]:
     """Count images a second, and passes of their noise and of a block for each pixel."""
-    view, key = render(frame, 0), draw_key(np.random.default_rng(1))
+    view, key = render_camera_view(frame, 0), draw_key(np.random.default_rng(1))
     grey = np.empty(view.photons.shape, dtype=np.uint16)
     return [
         rate(lambda: record_frame(frame), seconds),

@@ -18,7 +18,7 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     normal_equations,
     refine,
 )
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.api.truth import Particles
 from sabench.geometry.lens import UPRIGHT
 from sabench.scenes import build_rig, load_scene
@@ -65,7 +65,7 @@ def measure_calibration(draws: int) -> dict[str, Any]:
         board_mm = given.case.target.points_mm
         weights = np.asarray(there, dtype=np.float64)
         seen = BoardImages(board_mm, np.nan_to_num(exact) + noise, weights)
-        frame = Frame.from_cameras(cameras, given.points_mm)
+        frame = WallFrame.from_cameras(cameras, given.points_mm)
         state = frame.state(board_mm, given.points_mm)
         found = refine(_perturb(state, seed), seen, free)
         errors.append(np.rad2deg(found.state.lenses[:, 8:] - state.lenses[:, 8:]))

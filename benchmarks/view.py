@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import psutil
 
-from sabench.apps.viewer.contents import Contents, Frame, of_scene
-from sabench.apps.viewer.points import KINDS, Cloud
-from sabench.apps.viewer.view import render
+from sabench.apps.viewer.contents import Frame, PageContents, of_scene
+from sabench.apps.viewer.points import OBJECT_KINDS, ObjectCloud
+from sabench.apps.viewer.view import render_contents
 from sabench.scenes import Scene, load_scene
 from tests.helpers.browser import Browser, chromium
 
@@ -59,15 +59,15 @@ def rig_of_25() -> Scene:
     return Scene.model_validate(scene)
 
 
-def made_up(count: int) -> Contents:
+def made_up(count: int) -> PageContents:
     """Make contents of particles of all kinds at random places of the volume."""
     rng, contents = np.random.default_rng(1), of_scene(rig_of_25(), "made up")
     around = contents.surroundings
     position = rng.uniform(around.low_mm, around.high_mm, (count, 3))
-    kind = rng.choice(len(KINDS), count, p=_SHARES).astype(np.uint8)
-    cloud = Cloud.of_kind(position, kind, velocity_mm_s=rng.normal(0.0, 10.0, (count, 3)))
-    nothing = Cloud.of_kind(np.zeros((0, 3)), 0)
-    labels = {name: name for name in KINDS}
+    kind = rng.choice(len(OBJECT_KINDS), count, p=_SHARES).astype(np.uint8)
+    cloud = ObjectCloud.of_kind(position, kind, velocity_mm_s=rng.normal(0.0, 10.0, (count, 3)))
+    nothing = ObjectCloud.of_kind(np.zeros((0, 3)), 0)
+    labels = {name: name for name in OBJECT_KINDS}
     return replace(contents, frames=(Frame(0, 0.0, cloud, nothing),), labels=labels)
 
 
@@ -101,7 +101,7 @@ def main() -> None:
     with chromium() as browser, tempfile.TemporaryDirectory() as folder:
         for count in counts:
             start = time.perf_counter()
-            html, notes = render(made_up(count))
+            html, notes = render_contents(made_up(count))
             file = Path(folder) / "view.html"
             file.write_text(html, encoding="utf-8")
             made: dict[str, Any] = {

@@ -17,7 +17,7 @@ from sabench.api import (
     stream,
     triple,
 )
-from sabench.worlds.library.random_packing import place
+from sabench.worlds.library.random_packing import place_ellipsoids
 from sabench.worlds.library.sizes import Spectrum, spheroids, within
 
 
@@ -90,7 +90,7 @@ class BubbleField(BubbleGenerator):
         start = (
             propose(np.arange(len(semi_axes)), 1)[:, 0]
             if chosen.overlap
-            else place(semi_axes, rotation, propose, "bubble_field")
+            else place_ellipsoids(semi_axes, rotation, propose, "bubble_field")
         )
         travelled = start + velocity * time_s
         turns = np.floor(travelled / period).astype(np.int64)

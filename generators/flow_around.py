@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from sabench.api import F64, BodyFlow, Domain, InputError, Parameters, Solid, Vector
-from sabench.worlds.library.slow_flow import Box, SlowFlow, solve
+from sabench.worlds.library.slow_flow import PeriodicBox, SlowFlow, solve_oseen
 
 _MOST = 4_000_000  # nodes: a gigabyte while the flow is solved
 
@@ -70,9 +70,9 @@ class FlowAround(BodyFlow):
                     f"a body from {np.round(body.vertices_mm.min(axis=0), 2).tolist()} to "
                     f"{np.round(body.vertices_mm.max(axis=0), 2).tolist()} mm"
                 )
-        box = Box(low, chosen.step_mm, (shape[0], shape[1], shape[2]))
+        box = PeriodicBox(low, chosen.step_mm, (shape[0], shape[1], shape[2]))
         mean = np.asarray(chosen.velocity_mm_s)
-        self._flow: SlowFlow = solve(bodies, box, mean, chosen.viscosity_mm2_s)
+        self._flow: SlowFlow = solve_oseen(bodies, box, mean, chosen.viscosity_mm2_s)
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
         """Compute the mean flow and the curl of the vector potential."""

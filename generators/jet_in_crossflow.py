@@ -7,7 +7,7 @@ from sabench.api import F64, I64, Bool, BubbleGenerator, BubbleParameters, Bubbl
 from sabench.worlds.library.implicit_surfaces import capsules
 from sabench.worlds.library.jet_in_crossflow import Cones, Crossflow, Spray
 from sabench.worlds.library.overlaps import overlapping
-from sabench.worlds.library.random_packing import place
+from sabench.worlds.library.random_packing import place_ellipsoids
 from sabench.worlds.library.sizes import Spectrum, spheroids, within
 
 _GAP = 0.1  # between drops and the column, in nozzle diameters: its surface is rippled
@@ -68,7 +68,7 @@ class JetInCrossflow(BubbleGenerator):
         first = (
             propose(np.arange(chosen.count), 1)[:, 0]
             if chosen.overlap
-            else place(semi_axes, rotation, propose, "jet_in_crossflow")
+            else place_ellipsoids(semi_axes, rotation, propose, "jet_in_crossflow")
         )
         age, line = spray.ages_and_lines(first)
         rounds, age = np.divmod(age + time_s, spray.ages[0][-1])

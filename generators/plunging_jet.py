@@ -8,7 +8,7 @@ from pydantic import Field
 from sabench.api import F64, I64, Bool, BubbleGenerator, BubbleParameters, Bubbles, Domain, stream
 from sabench.worlds.library.overlaps import overlapping
 from sabench.worlds.library.plunging_jet import LN2, JetLaw, rotation_from_y
-from sabench.worlds.library.random_packing import place
+from sabench.worlds.library.random_packing import place_ellipsoids
 from sabench.worlds.library.sizes import Spectrum, spheroids, within
 
 _NODES = 4001  # of the distribution over depth
@@ -91,7 +91,7 @@ class PlungingJet(BubbleGenerator):
         center = (
             propose(np.arange(len(deep)), 1)[:, 0]
             if chosen.overlap
-            else place(semi_axes, rotation, propose, "plunging_jet")
+            else place_ellipsoids(semi_axes, rotation, propose, "plunging_jet")
         )
         velocity = self._velocities(center - impact)
         now = center + velocity * time_s

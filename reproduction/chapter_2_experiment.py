@@ -17,7 +17,7 @@ from sabench.metrics.vortex_rings import (
     circulation,
     core,
     half_plane,
-    sample,
+    interpolate_field,
     spin_of,
 )
 from sabench.plotting.charts import Curve, Figure, Panel
@@ -164,7 +164,7 @@ def _exact_circulations(scene: Scene) -> F64:
 def _look(record: _Seen, scene: Scene, measured: Velocity) -> None:
     ring = ring_of(scene)
     spin = spin_of(measured)
-    velocity = sample(measured, measured.velocity_mm_s)
+    velocity = interpolate_field(measured, measured.velocity_mm_s)
     cores = [
         core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"])
         for half in (half_planes(scene)[0], half_planes(scene)[-1])
@@ -228,7 +228,7 @@ def _rows(scene: Scene, name: str, record: _Seen) -> Iterator[Item]:
 
 
 def _figures(scene: Scene, measured: Velocity) -> Iterator[Item]:
-    velocity = sample(measured, measured.velocity_mm_s)
+    velocity = interpolate_field(measured, measured.velocity_mm_s)
     spin = spin_of(measured)
     half = half_planes(scene)[0]
     exact = at_nodes(scene, measured)
@@ -365,12 +365,14 @@ def _look_at_planes(scene: Scene, field: Velocity, beside_mm: float) -> _Cut:
 
 
 def _around(scene: Scene, field: Velocity, halves: Sequence[HalfPlane]) -> F64:
-    return circulations(scene, sample(field, field.velocity_mm_s), spin_of(field), halves)
+    return circulations(
+        scene, interpolate_field(field, field.velocity_mm_s), spin_of(field), halves
+    )
 
 
 def _fastest(scene: Scene, field: Velocity, halves: Sequence[HalfPlane]) -> float:
     """Find the largest velocity along the ring's motion on a line through its cores."""
-    ring, velocity = ring_of(scene), sample(field, field.velocity_mm_s)
+    ring, velocity = ring_of(scene), interpolate_field(field, field.velocity_mm_s)
     r = np.linspace(0.0, ring["diameter_mm"], 400)
     lines = [
         velocity(half.points(r, np.zeros_like(r))) @ np.asarray(ring["axis"]) for half in halves
@@ -437,7 +439,7 @@ def _sheet_figures(
         half, other = half_planes(sheet, (0.0, 180.0), offset)
         points = half.points(r, np.zeros_like(r))
         for what, values in (
-            (name, sample(velocity, velocity.velocity_mm_s)),
+            (name, interpolate_field(velocity, velocity.velocity_mm_s)),
             (f"{name}, exact", exact_velocity(sheet)),
         ):
             speeds.append(Curve(what, list(r), list(values(points) @ half.axis)))

@@ -17,13 +17,13 @@ from sabench.metrics.calibration_error import fit_alignment
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
-from sabench.simulation.camera_view import render
+from sabench.simulation.camera_view import render_camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering.sensor import expose
 from sabench.utils.arrays import F64, U16
 from sabench.utils.progress import progress_bar
 from sabench.utils.rng import stream
-from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
+from sabench.worlds.calibration_targets import exact_pixels, found_pixels, pose_target, prior
 
 from .common import run
 
@@ -120,7 +120,7 @@ def board(
 
 def draw(scene: Scene, seed: int) -> Board:
     """Simulate what a scene's cameras see of its target, with the truth."""
-    true, placed = build_rig(scene).cameras, place(scene, seed)
+    true, placed = build_rig(scene).cameras, pose_target(scene, seed)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in true])
     pixels = np.stack(
         [found_pixels(scene.detection, view, seed, number)[0] for number, view in enumerate(exact)]
@@ -142,7 +142,9 @@ def draw(scene: Scene, seed: int) -> Board:
 def photograph(scene: Scene, frame: int, camera: int, seed: int) -> U16:
     """Render a scene's target as one camera records it: (rows, columns) grey values."""
     content = Frames(scene, build_rig(scene, scene.title), seed).at(frame)
-    return expose(scene.sensor, render(content, camera).photons, content.sensor_noise(camera))
+    return expose(
+        scene.sensor, render_camera_view(content, camera).photons, content.sensor_noise(camera)
+    )
 
 
 def solve_case(solver: str, given: Board, **parameters: Any) -> Calibration:

@@ -14,7 +14,7 @@ import numpy as np
 from sabench.algorithms.calibration.bundle_adjustment import refine
 from sabench.algorithms.calibration.parameters import FreeParameters, fit_similarity
 from sabench.algorithms.calibration.problem import CalibrationProblem
-from sabench.algorithms.calibration.target_detection import detect
+from sabench.algorithms.calibration.target_detection import detect_target
 from sabench.api import Calibration
 from sabench.evaluation.reproduction import Item
 from sabench.evaluation.suite_loading import override
@@ -23,7 +23,7 @@ from sabench.plotting.charts import Cloud, Curve, Figure, Histogram, Panel, Pict
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.utils.arrays import F64, U16
 from sabench.utils.progress import progress_bar
-from sabench.worlds.calibration_targets import place
+from sabench.worlds.calibration_targets import pose_target
 
 from . import chapter_4
 from .common import AGREES, claim, make_row
@@ -185,14 +185,14 @@ def _bars(
 def _images(seed: int) -> Iterator[Item]:
     """Draw figure 4-24, and measure how well circles are detected in its images."""
     scene = override(make_traverse(), dict(_LIGHT), "traversed grid of circles")
-    target = place(scene, seed).target
+    target = pose_target(scene, seed).target
     panels: list[Panel] = []
     for letter, (camera, plane) in zip("ab", _SHOWN, strict=True):
         image = chapter_4.photograph(scene, plane, camera - 1, seed)
         points = _points(camera - 1, plane, seed)
         title = f"({letter}) camera {camera}, plane {plane + 1}"
         panels += [_overlay(title, image, points), *_detail(title, image, points)]
-        off = detect(image, target, points["true"]) - points["true"]
+        off = detect_target(image, target, points["true"]) - points["true"]
         yield make_row(
             f"{title}, rendered: noise of a detected coordinate, px",
             None,

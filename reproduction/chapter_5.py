@@ -13,7 +13,7 @@ from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import DEPTH_MM, JetFigures
 from sabench.plotting.charts import Figure, Panel, Space
 from sabench.scenes import Scene, build_rig, load_scene
-from sabench.simulation.camera_view import render
+from sabench.simulation.camera_view import render_camera_view
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.in_memory import observation_of
 from sabench.simulation.rendering.sensor import expose
@@ -171,7 +171,9 @@ def render_frames(scene: Scene, seed: int) -> Iterator[Rendered]:
             raise ValueError(f"{scene.title}: expected a scene with bubbles")
         cameras = range(len(frame.rig.cameras))
         images = [
-            expose(scene.sensor, render(frame, camera).photons, frame.sensor_noise(camera))
+            expose(
+                scene.sensor, render_camera_view(frame, camera).photons, frame.sensor_noise(camera)
+            )
             for camera in progress_bar(
                 cameras, f"render {scene.title}, seed {seed}, frame {number}"
             )

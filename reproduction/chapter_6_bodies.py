@@ -14,7 +14,7 @@ from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.velocity_error import evaluation_lattice, sample_velocity
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene
-from sabench.simulation.camera_view import record_image, render
+from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.in_memory import Shot, observation_of, simulate_sequence
 from sabench.utils.arrays import F64, Bool
@@ -265,7 +265,7 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 def _record(scene: Scene, seed: int) -> _Shot:
     frame = Frames(scene, build_rig(scene, scene.title), seed).at(0)
-    views = [render(frame, number) for number in range(len(frame.rig.cameras))]
+    views = [render_camera_view(frame, number) for number in range(len(frame.rig.cameras))]
     case = observation_of(frame, [record_image(frame, v, n) for n, v in enumerate(views)])
     sights = tuple(view.sight for view in views if view.sight is not None)
     images = [view.particles for view in views if view.particles is not None]

@@ -13,7 +13,7 @@ from sabench.api import Observation
 from sabench.api.truth import Bubbles, Solid
 from sabench.evaluation.reproduction import Item
 from sabench.geometry.grid import Grid
-from sabench.metrics.bubble_detection import LARGE_MM, AnyBubbles, detection_scores, match
+from sabench.metrics.bubble_detection import LARGE_MM, AnyBubbles, detection_scores, match_bubbles
 from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting.charts import Curve, Figure, Panel, Picture, Slice
 from sabench.scenes import Scene, load_scene
@@ -241,7 +241,7 @@ def _recall(detected: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> dict
     """Compute recall and ghosts of large drops in percent, over all frames."""
     hits, total, ghosts = 0, 0, 0
     for bubbles, true in zip(detected, truth, strict=True):
-        i, j = match(bubbles.center_mm, true.center_mm, true.radius_mm)
+        i, j = match_bubbles(bubbles.center_mm, true.center_mm, true.radius_mm)
         hits += int((true.radius_mm[j] >= LARGE_MM).sum())
         total += int((true.radius_mm >= LARGE_MM).sum())
         ghost = np.setdiff1d(np.arange(len(bubbles.center_mm)), i)

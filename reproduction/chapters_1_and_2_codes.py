@@ -14,7 +14,7 @@ from sabench.geometry.surfaces import Cylinder, Plane, Surface
 from sabench.metrics.code_reading import read_volume, reading, single_views
 from sabench.plotting.charts import Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene
-from sabench.simulation.camera_view import render
+from sabench.simulation.camera_view import render_camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering.sensor import expose
 from sabench.tasks.see_through import code_plane
@@ -82,7 +82,9 @@ def _views(scene: Scene, seed: int, case: Observation, code: Code) -> list[Panel
     bare = override(scene, {"bubbles": {"generator": "bubble_field", "count": 0}}, scene.title)
     middle = len(case.images) // 2
     frame = Frames(bare, build_rig(bare, bare.title), seed).at(0)
-    clear = expose(bare.sensor, render(frame, middle).photons, frame.sensor_noise(middle))
+    clear = expose(
+        bare.sensor, render_camera_view(frame, middle).photons, frame.sensor_noise(middle)
+    )
     return [
         image_panel("(a) without bubbles", clear, y=""),
         image_panel("(b) one view", case.images[middle], y=""),

@@ -22,20 +22,20 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from sabench.utils.class_source import constant, find_class, import_fault, parse
+from sabench.utils.class_source import constant, find_class, import_fault, parse_file
 from sabench.utils.errors import InputError
 from sabench.utils.installed import lacking
 
 _PACKAGE = Path(__file__).resolve().parent
-KINDS = ("generators", "solvers")
+PLUGIN_FOLDERS = ("generators", "solvers")
 # Class attribute that groups the entries of a kind.
 _GROUP = {"solvers": "task", "generators": "makes"}
 
-Kind = Literal["generator", "solver", "scene", "suite"]
+_Kind = Literal["generator", "solver", "scene", "suite"]
 
 
 @dataclass(frozen=True)
-class Entry:
+class ListEntry:
     """One line of `sabench list`.
 
     Attributes
@@ -44,7 +44,7 @@ class Entry:
     summary : first line of the docstring of a plug-in, title of a scene or suite.
     """
 
-    kind: Kind
+    kind: _Kind
     name: str
     group: str
     summary: str
@@ -157,7 +157,7 @@ def summary(plugin: type[Any]) -> str:
     return (plugin.__doc__ or "").strip().split("\n")[0]
 
 
-def describe(kind: str, name: str) -> Entry:
+def summarise(kind: str, name: str) -> ListEntry:
     """Summarise a plug-in from its source.
 
     It is imported only if its source is not sufficient.
@@ -168,17 +168,17 @@ def describe(kind: str, name: str) -> Entry:
         The file cannot be parsed, has an import that fails, or has no class of this name.
     """
     file = file_of(kind, name)
-    source = parse(file)
+    source = parse_file(file)
     fault = import_fault(source)
     if fault:
         raise InputError(f"{kind[:-1]} {name}: {file}: {fault}")
-    singular: Kind = "solver" if kind == "solvers" else "generator"
+    singular: _Kind = "solver" if kind == "solvers" else "generator"
     definition = find_class(source, name)
     group = constant(source, definition, _GROUP[kind]) if definition else None
     if definition and group is not None:
-        return Entry(singular, name, group, definition.summary, file)
+        return ListEntry(singular, name, group, definition.summary, file)
     plugin = load(kind, name)
-    return Entry(singular, name, getattr(plugin, _GROUP[kind], ""), summary(plugin), file)
+    return ListEntry(singular, name, getattr(plugin, _GROUP[kind], ""), summary(plugin), file)
 
 
 def list_solvers(task: str | None = None) -> list[str]:
@@ -208,7 +208,7 @@ def list_tasks() -> list[str]:
     return sorted({entry.group for entry in readable("solvers")[0]})
 
 
-def readable(kind: str) -> tuple[list[Entry], list[str]]:
+def readable(kind: str) -> tuple[list[ListEntry], list[str]]:
     """Describe all plug-ins of a kind.
 
     Returns entries, and one sentence for each plug-in that is broken.
@@ -216,7 +216,7 @@ def readable(kind: str) -> tuple[list[Entry], list[str]]:
     entries, faults = [], []
     for name in names(kind):
         try:
-            entries.append(describe(kind, name))
+            entries.append(summarise(kind, name))
         except InputError as error:
             faults.append(str(error))
     return entries, faults
@@ -232,14 +232,14 @@ def list_suites() -> list[str]:
     return [file.stem for file in _tables("suite")]
 
 
-def tables(kind: Literal["scene", "suite"]) -> list[Entry]:
+def tables(kind: Literal["scene", "suite"]) -> list[ListEntry]:
     """Describe the bundled scenes or suites by their titles."""
     import tomllib
 
     titles = {
         file: tomllib.loads(file.read_text(encoding="utf-8"))["title"] for file in _tables(kind)
     }
-    return [Entry(kind, file.stem, "", title, file) for file, title in titles.items()]
+    return [ListEntry(kind, file.stem, "", title, file) for file, title in titles.items()]
 
 
 def _tables(kind: Literal["scene", "suite"]) -> list[Path]:
@@ -255,7 +255,7 @@ def suite_folders() -> list[Path]:
 
 def mount() -> None:
     """Create the packages that hold the plug-ins."""
-    for kind in KINDS:
+    for kind in PLUGIN_FOLDERS:
         module = ModuleType(f"{__name__}.{kind}", f"Plug-ins: {kind}.")
         module.__path__ = [str(folder) for folder in folders(kind)]
         sys.modules[module.__name__] = module

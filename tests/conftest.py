@@ -132,7 +132,7 @@ def one_rendering_thread() -> None:
 
     With more, ten small images of bubbles take 11 s of CPU time in place of 7 s.
     """
-    backend.limit(1)
+    backend.limit_threads(1)
 
 
 def pinholes(cameras: Iterable[CameraModel]) -> tuple[Camera, ...]:

@@ -13,7 +13,9 @@ import numpy.typing as npt
 
 from sabench.utils.errors import InputError
 
-LARGEST = 1e12  # no length, velocity or angle is beyond it, and its square still has many digits
+LARGEST_VALUE = (
+    1e12  # no length, velocity or angle is beyond it, and its square still has many digits
+)
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Array:
     optional: bool = False
     unique: bool = False
     finite: bool = True
-    largest: float = LARGEST
+    largest: float = LARGEST_VALUE
     stored: str = ""
     file_dtype: type[np.generic] | None = None
     packed: bool = False

@@ -373,7 +373,7 @@ class Sight(Truth):
 
 
 @dataclass(frozen=True)
-class View(Truth):
+class ParticleView(Truth):
     """Images of a frame's n particles in one camera.
 
     Attributes

@@ -83,7 +83,7 @@ def refocus(
         "frame": frame,
         "surface": surface,
         "join": join,
-        **describe(chosen, image, points),
+        **_describe(chosen, image, points),
     }
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
@@ -125,7 +125,7 @@ def _light(case: Observation, join: Join) -> F32:
     return np.asarray(np.clip(light, 0.0, 1.0))
 
 
-def describe(surface: Surface, image: SurfaceImage, points_mm: F64) -> dict[str, Any]:
+def _describe(surface: Surface, image: SurfaceImage, points_mm: F64) -> dict[str, Any]:
     """Describe the pixel positions of a surface's image, and the visible share."""
     u, v = surface.axes_mm
     rotation = surface.pose.rotation

@@ -11,8 +11,8 @@ from sabench.cli import options, tables
 
 if TYPE_CHECKING:
     from sabench.api.solvers import TaskName
-    from sabench.evaluation.gates.comparison import Report
-    from sabench.evaluation.leaderboard.page_content import Table
+    from sabench.evaluation.gates.comparison import GateReport
+    from sabench.evaluation.leaderboard.page_content import ScoreTable
     from sabench.evaluation.leaderboard.submissions import Standing
     from sabench.tasks.task import Score
 
@@ -93,7 +93,7 @@ def _show_records(records: list[dict[str, Any]]) -> None:
             tables.show(headings, [_record_cells(row, columns) for row in selected], keys=3)
 
 
-def _shown_columns(table: Table, rows: list[dict[str, Any]]) -> tuple[Score, ...]:
+def _shown_columns(table: ScoreTable, rows: list[dict[str, Any]]) -> tuple[Score, ...]:
     """List the columns of a table: of figures without truth, those that a row has."""
     if not table.recorded:
         return table.columns
@@ -166,7 +166,7 @@ def check(
         raise typer.Exit(1)
 
 
-def show_report(report: Report) -> None:
+def show_report(report: GateReport) -> None:
     """Print what got worse as a table, other changes as lines, and a summary."""
     rows = []
     for finding in report.worse:

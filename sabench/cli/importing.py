@@ -14,7 +14,7 @@ from sabench.cli.options import AsJson, Overwrite, argument, option, parse_steps
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
-    from sabench.dataset.import_recording import Box, Imported
+    from sabench.dataset.import_recording import Box, ImportedRecording
     from sabench.geometry.grid import Grid
     from sabench.images.image_reading import RawLayout
     from sabench.interop.cameras import CameraFormat
@@ -228,7 +228,7 @@ def import_recording(
         _show_import(data, output)
 
 
-def _show_import(data: Imported, out: Path) -> None:
+def _show_import(data: ImportedRecording, out: Path) -> None:
     rows = [
         (
             name,
@@ -252,7 +252,7 @@ def _show_import(data: Imported, out: Path) -> None:
     say(f"{out}: {data.frames} frame(s) of {len(data.levels)} camera(s), recorded, without truth")
 
 
-def _import_record(data: Imported) -> dict[str, object]:
+def _import_record(data: ImportedRecording) -> dict[str, object]:
     from dataclasses import asdict
 
     return {

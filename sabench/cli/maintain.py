@@ -20,7 +20,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.version import __version__
 
 if TYPE_CHECKING:
-    from sabench.plugins import Entry
+    from sabench.plugins import ListEntry
 
 
 def list_all(
@@ -65,12 +65,12 @@ def list_all(
             options.say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
 
 
-def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
+def _entries(kind: str | None) -> tuple[list[ListEntry], list[str]]:
     if kind is not None and kind not in options.KINDS:
         raise InputError(f"--kind: expected one of {', '.join(options.KINDS)}, got {kind!r}")
-    entries: list[Entry] = []
+    entries: list[ListEntry] = []
     faults: list[str] = []
-    for plural in plugins.KINDS:
+    for plural in plugins.PLUGIN_FOLDERS:
         if kind in (None, plural[:-1]):
             loaded, broken = plugins.readable(plural)
             entries += sorted(loaded, key=lambda entry: (entry.group, entry.name))
@@ -82,7 +82,7 @@ def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
     return entries, faults
 
 
-def _record(entry: Entry) -> dict[str, str]:
+def _record(entry: ListEntry) -> dict[str, str]:
     group = {"solver": "task", "generator": "makes"}.get(entry.kind)
     extra = {group: entry.group} if group else {}
     head = {"kind": entry.kind, "name": entry.name, **extra}
@@ -148,7 +148,7 @@ _LEAST_GB = 2.0  # memory for the suite demo
 
 
 @dataclass(frozen=True)
-class Finding:
+class _Finding:
     """One line of the report; `remedy` is empty if all is well."""
 
     subject: str
@@ -168,7 +168,7 @@ def doctor() -> None:
         raise typer.Exit(1)
 
 
-def examine() -> list[Finding]:
+def examine() -> list[_Finding]:
     """Examine the installation.
 
     Trials run in child processes, which a bad library may abort.
@@ -177,38 +177,40 @@ def examine() -> list[Finding]:
 
     system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
     version = f"{__version__} on Python {platform.python_version()}, {system}"
-    findings = [Finding("sabench", True, version)]
+    findings = [_Finding("sabench", True, version)]
     try:
         chosen = backend.choose()
     except InputError as error:  # its message includes the remedy
-        return [*findings, Finding("backend", False, str(error))]
-    findings.append(Finding("backend", True, f"{chosen.kind}: {chosen.why}"))
+        return [*findings, _Finding("backend", False, str(error))]
+    findings.append(_Finding("backend", True, f"{chosen.kind}: {chosen.why}"))
     findings.append(_try("Dr.Jit kernel", "compute", backend.REMEDY))
     findings.append(_try("Mitsuba render", "render", backend.REMEDY))
     free = shutil.disk_usage(Path.cwd()).free / 1e9
     remedy = f"free some space: `sabench run demo` needs {_LEAST_GB:.0f} GB"
-    findings.append(Finding("disk", free > _LEAST_GB, f"{free:.1f} GB free in this folder", remedy))
+    findings.append(
+        _Finding("disk", free > _LEAST_GB, f"{free:.1f} GB free in this folder", remedy)
+    )
     count, faults = 0, []
-    for kind in plugins.KINDS:
+    for kind in plugins.PLUGIN_FOLDERS:
         for name in plugins.names(kind):
             count += 1
             try:
                 plugins.load(kind, name)
             except InputError as error:
                 remedy = "correct or remove its file"
-                faults.append(Finding(f"{kind[:-1]} {name}", False, str(error), remedy))
-    return findings + (faults or [Finding("plug-ins", True, f"all {count} can be imported")])
+                faults.append(_Finding(f"{kind[:-1]} {name}", False, str(error), remedy))
+    return findings + (faults or [_Finding("plug-ins", True, f"all {count} can be imported")])
 
 
-def _try(subject: str, name: str, remedy: str) -> Finding:
+def _try(subject: str, name: str, remedy: str) -> _Finding:
     """Call `try_<name>` in a child process."""
     from sabench.utils.processes.python import run_code
 
     code = f"from sabench.cli.maintain import try_{name}; print(try_{name}())"
     try:
-        return Finding(subject, True, run_code(code, "the trial", _PATIENCE_S))
+        return _Finding(subject, True, run_code(code, "the trial", _PATIENCE_S))
     except InputError as error:
-        return Finding(subject, False, str(error), remedy)
+        return _Finding(subject, False, str(error), remedy)
 
 
 def try_compute() -> str:

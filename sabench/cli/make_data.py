@@ -53,11 +53,11 @@ def plan(
     overwrite: options.Overwrite = False,
 ) -> None:
     """Plan an experiment: resolution, depth, light, density and data rate of a scene."""
-    from sabench.apps.planning.plan import Recorder, plan as make
+    from sabench.apps.planning.plan import RecordingSystem, plan as make
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
-    recorder = Recorder(bus_mb_s, memory_gb, gap_us)
+    recorder = RecordingSystem(bus_mb_s, memory_gb, gap_us)
     wanted = {"depth": depth, "density": density, "resolution": resolution, "output": output}
     if any(value is not None for value in wanted.values()):
         planned = make(_design(scene, wanted, overwrite=overwrite), recorder)
@@ -93,11 +93,11 @@ def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Sc
 
 
 def _write_page(planned: Plan, file: Path, *, overwrite: bool) -> None:
-    from sabench.apps.planning.page import render
+    from sabench.apps.planning.page import render_plan
     from sabench.utils.files import complete_or_nothing
 
     with complete_or_nothing(file, overwrite=overwrite) as partial:
-        partial.write_text(render(planned), encoding="utf-8")
+        partial.write_text(render_plan(planned), encoding="utf-8")
 
 
 def _show(planned: Plan) -> None:

@@ -9,9 +9,9 @@ from sabench import plugins
 from sabench.cli import options, tables
 
 if TYPE_CHECKING:
-    from sabench.apps.own_calibration.report import Report
+    from sabench.apps.own_calibration.report import CalibrationReport
     from sabench.apps.recordings import Measured
-    from sabench.dataset.preprocessing_preview import Preview, Stage
+    from sabench.dataset.preprocessing_preview import Preview, PreviewStage
 
 
 def calibrate(
@@ -65,7 +65,7 @@ def calibrate(
         _show_calibration(report, out)
 
 
-def _show_unknowns(report: Report) -> None:
+def _show_unknowns(report: CalibrationReport) -> None:
     lines = []
     for row in report.compared:
         name = f"+ {' and '.join(row.added)}" if row.added else "focal lengths"
@@ -79,7 +79,7 @@ def _show_unknowns(report: Report) -> None:
     options.say(f"recommended and used: unknown = [{quoted}]")
 
 
-def _show_calibration(report: Report, out: Path) -> None:
+def _show_calibration(report: CalibrationReport, out: Path) -> None:
     for sentence in report.summary:
         options.say(sentence)
     if report.compared:
@@ -255,7 +255,7 @@ def preprocess(
         _show(shown, false_alarms, output)
 
 
-def _record(stage: Stage, false_alarms: float) -> dict[str, object]:
+def _record(stage: PreviewStage, false_alarms: float) -> dict[str, object]:
     return {
         "step": stage.name,
         "black": stage.black_dn,

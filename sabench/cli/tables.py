@@ -10,7 +10,7 @@ from collections.abc import Sequence
 PIPED_WIDTH = 200
 _BORDER = 3  # columns of a cell's padding and of one vertical line
 
-Rows = Sequence[Sequence[str]]
+_Rows = Sequence[Sequence[str]]
 
 
 def width() -> int:
@@ -18,7 +18,7 @@ def width() -> int:
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else PIPED_WIDTH
 
 
-def show(headings: Sequence[str], rows: Rows, keys: int = 1) -> None:
+def show(headings: Sequence[str], rows: _Rows, keys: int = 1) -> None:
     """Print a table.
 
     If it is too wide, transpose a single row, else split the columns.
@@ -46,12 +46,12 @@ def show(headings: Sequence[str], rows: Rows, keys: int = 1) -> None:
             _print([headings[i] for i in part], [[row[i] for i in part] for row in rows])
 
 
-def show_wrapped(headings: Sequence[str], rows: Rows) -> None:
+def show_wrapped(headings: Sequence[str], rows: _Rows) -> None:
     """Print a table with sentences in its last columns, wrapped at words."""
     _print(headings, rows, wrap=True)
 
 
-def _print(headings: Sequence[str], rows: Rows, *, wrap: bool = False) -> None:
+def _print(headings: Sequence[str], rows: _Rows, *, wrap: bool = False) -> None:
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table

@@ -30,7 +30,7 @@ def name_of(group: str, declared: Array) -> str:
     return f"{group}/{declared.label}" if group else declared.label
 
 
-def read_arrays(
+def read_declared(
     kind: type[AnyArrays],
     fetch: Fetch,
     group: str,

@@ -123,7 +123,7 @@ def _is_sound(wall: WallRecord) -> bool:
 _MOST_DN = 65535  # of 16 bits
 
 
-class SensorLevels(schema.Record):
+class SensorLevels(schema.StoredRecord):
     """Grey levels of the sensor: of no light and of saturation.
 
     `by_camera` has both of each camera where they differ, as dark images show them.
@@ -135,7 +135,7 @@ class SensorLevels(schema.Record):
     by_camera: tuple[tuple[float, float], ...] = ()
 
 
-class CamerasFile(schema.Record):
+class CamerasFile(schema.StoredRecord):
     """cameras.json: the observation, apart from the images."""
 
     format: str
@@ -187,7 +187,7 @@ class CamerasFile(schema.Record):
         return [pair for frames in self.sequences() for pair in itertools.pairwise(frames)]
 
 
-class TrueCamerasFile(schema.Record):
+class TrueCamerasFile(schema.StoredRecord):
     """true_cameras.json: the true cameras, where cameras.json holds others.
 
     `wall` is there where the true wall is not the nominal one.
@@ -199,7 +199,7 @@ class TrueCamerasFile(schema.Record):
     cameras: tuple[Camera, ...]
 
 
-class CalibratedFile(schema.Record):
+class CalibratedFile(schema.StoredRecord):
     """cameras.json of a calibration: cameras and their walls alone."""
 
     format: str
@@ -217,7 +217,7 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
     """
     keys = read_json(path)
     if isinstance(keys, dict) and "grid" in keys:
-        setup = read_cameras(path.parent)
+        setup = read_cameras_file(path.parent)
         return setup.cameras, setup.grid
     loaded = schema.read_versioned(CalibratedFile, path)
     walls = _walls(loaded.wall, len(loaded.cameras))
@@ -227,7 +227,7 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
     return behind(walls, loaded.cameras), None
 
 
-def read_cameras(root: Path) -> CamerasFile:
+def read_cameras_file(root: Path) -> CamerasFile:
     """Read the cameras of a data set, every one with its wall."""
     path = inside(root, schema.CAMERAS)
     return check_setup(read_json(path), path)
@@ -370,7 +370,7 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
         )
 
 
-def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> None:
+def write_cameras_file(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> None:
     """Write cameras as `list_cameras` lists them."""
     path.write_text(canonical_json(list_cameras(cameras, **keys)), encoding="utf-8")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.dataset.cameras import read_cameras
+from sabench.dataset.cameras import read_cameras_file
 from sabench.dataset.recorded import RecordedWriter, ReferenceList, extended, recorded_writer
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import grid_of_box, pixel_size_mm, propose_box, share_in_view
@@ -23,7 +23,7 @@ from sabench.utils.arrays import U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
-Taken = tuple[CameraModel, tuple[Path, ...]]  # a camera and its files
+_CameraFiles = tuple[CameraModel, tuple[Path, ...]]  # a camera and its files
 
 
 def pair_images(
@@ -32,7 +32,7 @@ def pair_images(
     cameras: Sequence[CameraModel],
     pairs: Mapping[str, str] | None,
     notes: list[str],
-) -> list[Taken]:
+) -> list[_CameraFiles]:
     """Find the files of each calibrated camera: as paired, by its name, or in order.
 
     Parameters
@@ -187,7 +187,7 @@ class ImportOptions:
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportedRecording:
     """Levels and grid of an imported recording, and notes for the user.
 
     Attributes
@@ -212,7 +212,7 @@ def import_recording(
     grid: Grid | None = None,
     *,
     overwrite: bool = False,
-) -> Imported:
+) -> ImportedRecording:
     """Make a data set without truth of a folder of images and calibrated cameras.
 
     Images are copied as 16-bit TIFF, or stay where they are. Those of cameras with smaller sensors
@@ -244,14 +244,16 @@ def import_recording(
                 f"{folder}: expected as many images of each camera, got {got}; give a range, "
                 "counted from 0, in which all have as many"
             )
-        made = Imported(next(iter(counts.values())), voxels, _levels(values, options), tuple(notes))
+        made = ImportedRecording(
+            next(iter(counts.values())), voxels, _levels(values, options), tuple(notes)
+        )
         rows, columns = _largest(cameras)
         writer.set_cameras(
             [dataclasses.replace(one, rows=rows, columns=columns) for one in cameras],
             **_keys(made, options),
         )
         try:
-            read_cameras(writer.root)
+            read_cameras_file(writer.root)
         except InputError as error:
             raise InputError(str(error).replace(str(writer.root), str(out))) from None
     return made
@@ -300,7 +302,7 @@ def _check_views(cameras: Sequence[CameraModel], grid: Grid, notes: list[str]) -
 
 
 def _store_all(
-    writer: RecordedWriter, folder: Path, chosen: Sequence[Taken], options: ImportOptions
+    writer: RecordedWriter, folder: Path, chosen: Sequence[_CameraFiles], options: ImportOptions
 ) -> tuple[dict[str, int], dict[str, GreyValues]]:
     """Store the images and masks of all cameras.
 
@@ -378,7 +380,7 @@ def _levels(values: Mapping[str, GreyValues], options: ImportOptions) -> dict[st
     return levels
 
 
-def _keys(made: Imported, options: ImportOptions) -> dict[str, Any]:
+def _keys(made: ImportedRecording, options: ImportOptions) -> dict[str, Any]:
     """List the keys of cameras.json besides the cameras and their walls."""
     levels = list(made.levels.values())
     both = [(one.black_dn, one.white_dn) for one in levels]

@@ -25,7 +25,7 @@ _RING_PX = 3.0
 
 
 @dataclass(frozen=True)
-class Stage:
+class PreviewStage:
     """Image after a step, and what is detected in it.
 
     Attributes
@@ -68,7 +68,7 @@ class Preview:
     """
 
     title: str
-    stages: tuple[Stage, ...]
+    stages: tuple[PreviewStage, ...]
 
 
 def preview(
@@ -172,11 +172,11 @@ def _read(path: Path, page: int) -> U16:
     return read_page(path, page, size)
 
 
-def _stage(name: str, image: U16, unknown: Bool | None, false_alarms: float) -> Stage:
+def _stage(name: str, image: U16, unknown: Bool | None, false_alarms: float) -> PreviewStage:
     dark = measure_dark_noise(image[None], None if unknown is None else ~unknown)
     least = dark.threshold(false_alarms)
     counted = image.size if unknown is None else int((~unknown).sum())
-    return Stage(
+    return PreviewStage(
         name,
         image,
         dark,
@@ -211,7 +211,7 @@ def preview_figure(shown: Preview) -> Figure:
     )
 
 
-def _panel(stage: Stage, window: tuple[slice, slice], *, marked: bool) -> Panel:
+def _panel(stage: PreviewStage, window: tuple[slice, slice], *, marked: bool) -> Panel:
     """Draw part of an image; its peaks are marked by circles where it is enlarged."""
     down, across = window
     light = np.maximum(stage.image[window] - stage.dark.level[window], 0.0) ** _GAMMA

@@ -13,8 +13,8 @@ import numpy as np
 
 from sabench.api import CalibrationCase, Observation, Shown, truth
 from sabench.dataset import schema
-from sabench.dataset.arrays import AnyArrays, group_of, read_arrays
-from sabench.dataset.cameras import CamerasFile, read_cameras, read_true_cameras
+from sabench.dataset.arrays import AnyArrays, group_of, read_declared
+from sabench.dataset.cameras import CamerasFile, read_cameras_file, read_true_cameras
 from sabench.dataset.hdf5 import names_in, open_hdf5, read_array
 from sabench.dataset.recorded import ReferencesFile, read_references
 from sabench.dataset.schema import Contents, Manifest, RecordedManifest
@@ -180,7 +180,7 @@ class Dataset(StoredFrames):
     @cached_property
     def setup(self) -> CamerasFile:
         """Read the cameras, wall, grid and sensor levels that solvers receive."""
-        return read_cameras(self.root)
+        return read_cameras_file(self.root)
 
     @cached_property
     def true_cameras(self) -> tuple[Camera, ...]:
@@ -264,11 +264,13 @@ class Dataset(StoredFrames):
         with self._open_truth(frame) as file:
             return _read(file, truth.Particles, frame)
 
-    def views(self, frame: int) -> list[truth.View]:
+    def views(self, frame: int) -> list[truth.ParticleView]:
         """Read every camera's true particle images, in the cameras' order."""
         with self._open_truth(frame) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/id", (None,), "i"))
-            return [_read(file, truth.View, frame, one.name, n=n) for one in self.setup.cameras]
+            return [
+                _read(file, truth.ParticleView, frame, one.name, n=n) for one in self.setup.cameras
+            ]
 
     def bubbles(self, frame: int) -> truth.Bubbles:
         """Read the true bubbles of a frame."""
@@ -372,7 +374,7 @@ def _read(
     group = group_of(kind, frame, which)
     names = names_in(file, group) if any(one.optional for one in kind.ARRAYS) else ()
     fetch = functools.partial(read_array, file)
-    return read_arrays(kind, fetch, group, file.filename, sizes, names)
+    return read_declared(kind, fetch, group, file.filename, sizes, names)
 
 
 def open_dataset(path: str | Path) -> Dataset:

@@ -14,8 +14,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sabench.dataset import schema
-from sabench.dataset.cameras import wall_entry, write_cameras
-from sabench.dataset.schema import FORMAT, REFERENCES, VERSION, FileEntry, Record, read_versioned
+from sabench.dataset.cameras import wall_entry, write_cameras_file
+from sabench.dataset.schema import (
+    FORMAT,
+    REFERENCES,
+    VERSION,
+    FileEntry,
+    StoredRecord,
+    read_versioned,
+)
 from sabench.geometry.camera_model import CameraModel
 from sabench.images.image_files import MOVIES
 from sabench.images.image_reading import RawLayout, read_page
@@ -28,7 +35,7 @@ from sabench.utils.version import __version__
 Grey = TypeVar("Grey", U16, Bool)
 
 
-class ReferencesFile(Record):
+class ReferencesFile(StoredRecord):
     """images.json: files outside the data set, and the images in them.
 
     Attributes
@@ -148,7 +155,7 @@ class RecordedWriter:
 
     def set_cameras(self, cameras: Sequence[CameraModel], **keys: Any) -> None:
         """Store the cameras with their walls, and the further keys of cameras.json."""
-        write_cameras(self.root / schema.CAMERAS, cameras, wall=wall_entry(cameras), **keys)
+        write_cameras_file(self.root / schema.CAMERAS, cameras, wall=wall_entry(cameras), **keys)
 
     def _write(self, name: str, image: U16) -> None:
         path = self.root / name

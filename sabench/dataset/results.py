@@ -15,7 +15,7 @@ import numpy as np
 from sabench.api.estimates import Calibration, Estimate
 from sabench.api.solvers import TaskName
 from sabench.dataset import hdf5
-from sabench.dataset.arrays import group_of, read_arrays, write_arrays
+from sabench.dataset.arrays import group_of, read_declared, write_arrays
 from sabench.dataset.reader import Dataset
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import decode_cameras
@@ -92,7 +92,7 @@ class Result:
         sizes = dict(zip("zyx", self.grid.shape, strict=True))
         with hdf5.open_hdf5(self.path) as file:
             fetch, names = functools.partial(hdf5.read_array, file), hdf5.names_in(file, group)
-            return read_arrays(kind, fetch, group, file.filename, sizes, names)
+            return read_declared(kind, fetch, group, file.filename, sizes, names)
 
 
 class ResultWriter:

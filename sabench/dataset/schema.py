@@ -30,13 +30,13 @@ PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # of arr
 GIVEN = "given"  # folder of files of other programs, which the scene reads
 
 
-class Record(BaseModel):
+class StoredRecord(BaseModel):
     """Entry of a file of a data set."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class TargetFile(Record):
+class TargetFile(StoredRecord):
     """target.json: the calibration target that the frames show."""
 
     format: str
@@ -44,7 +44,7 @@ class TargetFile(Record):
     target: Target
 
 
-class FileEntry(Record):
+class FileEntry(StoredRecord):
     """One file's size and checksum."""
 
     bytes: int = Field(ge=0)
@@ -56,7 +56,7 @@ class FileEntry(Record):
         return cls(bytes=path.stat().st_size, sha256=sha256(path))
 
 
-class Contents(Record):
+class Contents(StoredRecord):
     """Contents of a data set, or of its observation side.
 
     `content_hash` is that of the whole data set in both.
@@ -95,7 +95,7 @@ class ObservationManifest(Contents):
     side: Literal["observation"]
 
 
-class ShardEntry(Record):
+class ShardEntry(StoredRecord):
     """One shard: its samples, and its files by side.
 
     A writer notes it next to the finished shard, and the manifest lists those of all shards.
@@ -109,7 +109,7 @@ class ShardEntry(Record):
     files: dict[str, FileEntry]
 
 
-class ShardOrigin(Record):
+class ShardOrigin(StoredRecord):
     """Origin of a shard, which its writer notes with its entry.
 
     `key` is that of the stream.

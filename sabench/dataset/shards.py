@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from sabench.api.truth import Particles, View
+from sabench.api.truth import Particles, ParticleView
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.utils.arrays import F32, I64, U8, U16
@@ -120,12 +120,12 @@ class SampleRecord:
     true_cameras: dict[str, Any] | None
     images: U16
     particles: tuple[Particles, ...]
-    views: tuple[tuple[View, ...], ...]
+    views: tuple[tuple[ParticleView, ...], ...]
     radiance: F32 | None
 
 
 @dataclass(frozen=True)
-class Kept:
+class ShardContents:
     """Contents of shards: the kinds of truth, and how pixels are compressed."""
 
     truth: tuple[TruthKind, ...] = ("particles", "views")
@@ -177,14 +177,14 @@ class ShardFolder:
             return None
         same = (origin.seed, origin.key) == (seed, key)
         files = origin.entry.files
-        return origin.entry if same and origin.entry == describe(shard, files) else None
+        return origin.entry if same and origin.entry == describe_shard(shard, files) else None
 
     def write(
         self,
         shard: Shard,
         samples: Iterable[SampleRecord],
         shape: tuple[int, int, int, int],
-        kept: Kept,
+        kept: ShardContents,
         origin: tuple[int, str],
     ) -> None:
         """Write the shard of samples that are made one after the other.
@@ -207,7 +207,7 @@ class ShardFolder:
                 (self.data / name).parent.mkdir(parents=True, exist_ok=True)
                 path.replace(self.data / name)
         seed, key = origin
-        note = schema.ShardOrigin(seed=seed, key=key, entry=describe(shard, files))
+        note = schema.ShardOrigin(seed=seed, key=key, entry=describe_shard(shard, files))
         with atomic_file(self._note(shard)) as partial:
             partial.write_text(canonical_json(note.model_dump(mode="json")), encoding="utf-8")
 
@@ -227,7 +227,7 @@ class ShardFolder:
         return self.root / "entries" / f"{shard.name}.json"
 
 
-def describe(shard: Shard, files: dict[str, schema.FileEntry]) -> schema.ShardEntry:
+def describe_shard(shard: Shard, files: dict[str, schema.FileEntry]) -> schema.ShardEntry:
     """Describe a shard with the files that hold it."""
     return schema.ShardEntry(
         name=shard.name,
@@ -244,7 +244,7 @@ def _write_files(
     count: int,
     samples: Iterable[SampleRecord],
     shape: tuple[int, int, int, int],
-    kept: Kept,
+    kept: ShardContents,
 ) -> None:
     """Write both files of a shard; its pixels are never in memory together."""
     with contextlib.ExitStack() as stack:
@@ -271,7 +271,7 @@ def _write_files(
             collected.store(seen, truth, kept)
 
 
-def _pixels(file: Any, name: str, shape: tuple[int, ...], kind: str, kept: Kept) -> Any:
+def _pixels(file: Any, name: str, shape: tuple[int, ...], kind: str, kept: ShardContents) -> Any:
     """Make a data set of images; compressed ones lie in chunks of one image."""
     packed = kept.compression == "gzip"
     chunks = {"chunks": (1, 1, 1, *shape[3:]), **schema.PACK} if packed else {}
@@ -316,7 +316,7 @@ class _Collected:
             self._true.add(one.true_cameras)
         self._samples.append(replace(one, images=_NO_IMAGES, radiance=None))
 
-    def store(self, seen: Any, truth: Any, kept: Kept) -> None:
+    def store(self, seen: Any, truth: Any, kept: ShardContents) -> None:
         """Store it in the files of both sides."""
         rows = self._samples
         for file in (seen, truth):
@@ -337,7 +337,7 @@ class _Collected:
                 truth[f"particles/{one.label}"] = np.concatenate(own)
         if "views" in kept.truth:
             of_frames = [one for sample in self._samples for one in sample.views]
-            for one in View.ARRAYS:
+            for one in ParticleView.ARRAYS:
                 stacked = [
                     np.stack([getattr(v, one.name) for v in views], axis=1) for views in of_frames
                 ]

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.api import Observation
-from sabench.api.truth import Particles, View
+from sabench.api.truth import Particles, ParticleView
 from sabench.dataset import schema
-from sabench.dataset.arrays import Fetch, read_arrays
+from sabench.dataset.arrays import Fetch, read_declared
 from sabench.dataset.cameras import CamerasFile, check_setup, check_true_cameras
 from sabench.dataset.hdf5 import check_streams, find_array, name_faults, read_array
 from sabench.dataset.reader import Dataset, StoredFrames
@@ -252,9 +252,9 @@ class ShardSample(StoredFrames):
     def particles(self, frame: int) -> Particles:
         """Read the true particles of a frame."""
         fetch = self._fetch("particles", frame)
-        return read_arrays(Particles, fetch, "particles", self._shard.path("truth"))
+        return read_declared(Particles, fetch, "particles", self._shard.path("truth"))
 
-    def views(self, frame: int) -> list[View]:
+    def views(self, frame: int) -> list[ParticleView]:
         """Read the true particle images of a frame in each camera."""
         cameras, path = self._shard.shape[1], self._shard.path("truth")
         fetch = self._fetch("views", frame, cameras)
@@ -262,7 +262,10 @@ class ShardSample(StoredFrames):
         def of_camera(camera: int) -> Fetch:
             return lambda name, shape, kinds: fetch(name, shape, kinds)[:, camera]
 
-        return [read_arrays(View, of_camera(camera), "views", path) for camera in range(cameras)]
+        return [
+            read_declared(ParticleView, of_camera(camera), "views", path)
+            for camera in range(cameras)
+        ]
 
     def _fetch(self, kind: str, frame: int, *sizes: int) -> Fetch:
         """Make a reader of arrays (particle, *sizes, ...) for the particles of a frame."""
@@ -331,7 +334,7 @@ class StoredSample:
         return tuple(self._store.particles(frame) for frame in self._frames)
 
     @property
-    def views(self) -> tuple[tuple[View, ...], ...]:
+    def views(self) -> tuple[tuple[ParticleView, ...], ...]:
         """True particle images of each frame and camera."""
         return tuple(tuple(self._store.views(frame)) for frame in self._frames)
 

@@ -15,7 +15,7 @@ from sabench.dataset import schema
 from sabench.dataset.hdf5 import walk
 from sabench.dataset.reader import Dataset
 from sabench.dataset.sample_set import open_samples
-from sabench.dataset.shards import Shard, describe, plan_shards
+from sabench.dataset.shards import Shard, describe_shard, plan_shards
 from sabench.dataset.stored_samples import StoredShard
 from sabench.utils.errors import InputError, UncheckedError, one_line
 from sabench.utils.files import inside, is_file
@@ -66,7 +66,7 @@ def _check_plan(root: Path, contents: schema.ShardedContents) -> None:
 
 
 def _check_entry(path: Path, entry: schema.ShardEntry, shard: Shard, sides: Sequence[str]) -> None:
-    if entry != describe(shard, entry.files):
+    if entry != describe_shard(shard, entry.files):
         raise InputError(
             f"{path}: shards: {entry.name}: expected {len(shard.numbers)} samples from "
             f"{shard.numbers[0]} to {shard.numbers[-1]} of {shard.split}, got {entry.samples} from "

@@ -116,7 +116,7 @@ class JudgedQuality(_Part):
         return values
 
 
-class Head(_Part):
+class RecordHead(_Part):
     """Record without its scores.
 
     They follow as further keys: one for each score of its task, a number or null.
@@ -199,7 +199,7 @@ class Head(_Part):
         return name
 
     @model_validator(mode="after")
-    def _check_scores(self) -> Head:
+    def _check_scores(self) -> RecordHead:
         values = self.model_extra or {}
         faults = [*score_faults(self.task, values), *_other_faults(self.task, values)]
         if faults := [*faults, *self._truth_faults(values)]:
@@ -215,7 +215,7 @@ class Head(_Part):
                 yield f"{score.key}: expected no score of a recorded data set, which has no truth"
 
 
-def parse(line: bytes) -> Record:
+def parse_record(line: bytes) -> Record:
     """Parse one line as a record.
 
     Raises
@@ -243,9 +243,11 @@ def parse(line: bytes) -> Record:
     if depth > _DEEPEST:
         raise ValueError(f"more than {_DEEPEST} tables and lists within each other")
     try:
-        return Head.model_validate(value).model_dump()
+        return RecordHead.model_validate(value).model_dump()
     except ValidationError as error:
-        raise ValueError(one_line("; ".join(sentences(Head, error)), _LONGEST_FAULT)) from error
+        raise ValueError(
+            one_line("; ".join(sentences(RecordHead, error)), _LONGEST_FAULT)
+        ) from error
 
 
 def score_faults(task: str, values: Record) -> Iterator[str]:

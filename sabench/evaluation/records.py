@@ -15,7 +15,7 @@ from typing import Any
 
 from filelock import FileLock
 
-from sabench.evaluation.record_schema import FORMAT, LONGEST_LINE, VERSION, Record, parse
+from sabench.evaluation.record_schema import FORMAT, LONGEST_LINE, VERSION, Record, parse_record
 from sabench.utils import backend
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
@@ -81,7 +81,7 @@ def _read_file(path: Path) -> Iterator[Record]:
         if not line.strip():
             continue
         try:
-            yield parse(line)
+            yield parse_record(line)
         except (ValueError, RecursionError) as error:
             if not ended:
                 continue
@@ -139,7 +139,7 @@ def encode(record: Record) -> bytes:
     values = {"format": FORMAT, "version": VERSION, **record}
     try:
         line = json.dumps(values, sort_keys=True, allow_nan=False).encode()
-        parse(line)
+        parse_record(line)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"expected values that a record may have, got {error}") from error
     return line + b"\n"

@@ -81,7 +81,7 @@ _MOST_CASES = 1000
 _LONGEST_CASE = 200  # characters of a name
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 Load = Callable[[str | Path], Scene]
-Table = TypeVar("Table", Suite, CaseSpec, RecordingSpec)
+_Table = TypeVar("Table", Suite, CaseSpec, RecordingSpec)
 
 
 def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, list[Case]]:
@@ -195,7 +195,7 @@ def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
         )
 
 
-def _resolve(table: Table, file: Path) -> Table:
+def _resolve(table: _Table, file: Path) -> _Table:
     """Check the solver entries of a suite or of one of its cases."""
     solvers = tuple(_resolve_solver(entry, file) for entry in table.solvers)
     return table.model_copy(update={"solvers": solvers})

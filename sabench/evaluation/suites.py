@@ -23,7 +23,7 @@ from sabench.tasks.solve_and_score import describe_solver
 from sabench.utils.backend import Renderer
 from sabench.utils.code_hash import code_hash
 from sabench.utils.errors import InputError
-from sabench.utils.processes.program import Limits, limits_of
+from sabench.utils.processes.program import ProgramLimits, limits_of
 
 RECORDED = "recorded"  # in place of the renderer of a recording
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system
@@ -63,7 +63,7 @@ class SolverEntry(_Table):
         return is_program(self.name)
 
     @property
-    def limits(self) -> Limits | None:
+    def limits(self) -> ProgramLimits | None:
         """Limits of a program."""
         return limits_of(self.time_limit_s, self.memory_limit_mb)
 

@@ -180,7 +180,9 @@ def _aim(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def find(gap: float, faces: Any, indices: Any, points: Any, leaving: Any, arriving: Any) -> Any:
+def find_light_paths(
+    gap: float, faces: Any, indices: Any, points: Any, leaving: Any, arriving: Any
+) -> Any:
     """Find light paths from a pinhole to points (n, 3) in the fluid.
 
     Newton's iteration for the direction at the pinhole, two unknowns, with the exact derivatives of

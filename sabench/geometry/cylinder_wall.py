@@ -78,7 +78,9 @@ class CylinderWall:
             frame = self._frame(pinhole_mm)
             local = (points_mm[valid] - pinhole_mm) @ frame.T - np.array([gap, 0.0, 0.0])
             first, last = np.zeros_like(local), np.zeros_like(local)
-            reached = cylinder_kernels.find(gap, self._faces(), self.indices, local, first, last)
+            reached = cylinder_kernels.find_light_paths(
+                gap, self._faces(), self.indices, local, first, last
+            )
             leaving[valid], arriving[valid] = first @ frame, last @ frame
             valid[valid] = reached
             leaving[~valid] = arriving[~valid] = np.nan

@@ -70,7 +70,7 @@ def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap
     return [list(plane) for plane in zip(*by_camera, strict=True)]
 
 
-def fit(function: Smooth, degree: int) -> tuple[F64, F64]:
+def fit_polynomials(function: Smooth, degree: int) -> tuple[F64, F64]:
     """Fit polynomials of a total degree to a smooth function.
 
     Returns
@@ -93,7 +93,7 @@ def fit(function: Smooth, degree: int) -> tuple[F64, F64]:
 def lowest_degree(function: Smooth) -> int:
     """Find the lowest degree that fits a function to `TOLERANCE_PX` with a margin."""
     for degree in _DEGREES:
-        if fit(function, degree)[1].max() < 0.5 * TOLERANCE_PX:
+        if fit_polynomials(function, degree)[1].max() < 0.5 * TOLERANCE_PX:
             return degree
     raise ValueError(
         f"expected maps smooth enough for polynomials of degree {_DEGREES[-1]}: a camera, its "
@@ -129,7 +129,7 @@ def plane_points(grid: Grid, z_mm: float, unit: F64) -> F64:
 
 
 def _maps_of_degree(camera: CameraModel, grid: Grid, depths: F64, degree: int) -> list[PlaneMap]:
-    coefficients, errors = fit(_plane_function(camera, grid, depths), degree)
+    coefficients, errors = fit_polynomials(_plane_function(camera, grid, depths), degree)
     pairs = zip(
         coefficients.reshape(len(depths), 2, -1), errors.reshape(len(depths), 2), strict=True
     )

@@ -15,7 +15,7 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
 
-TOLERANCE_PX = 1e-3
+_TOLERANCE_PX = 1e-3
 _HIGHEST = 9
 _NODES = 11  # of the fit along each axis
 _FEW = 10_000  # points: fewer are projected before threads have begun
@@ -61,7 +61,7 @@ def fit_volume_polynomials(
         powers = _powers(degree)
         terms = np.prod(unit[:, None] ** powers, axis=2)
         solution = np.linalg.lstsq(terms, pixels, rcond=None)[0]
-        if np.abs(terms @ solution - pixels).max() < TOLERANCE_PX:
+        if np.abs(terms @ solution - pixels).max() < _TOLERANCE_PX:
             by_camera = solution.reshape(len(powers), len(cameras), 2).transpose(1, 0, 2)
             coefficients = np.ascontiguousarray(by_camera, dtype=np.float64)
             return VolumePolynomials(coefficients, powers.astype(np.int64), middle, half)

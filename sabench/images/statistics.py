@@ -28,7 +28,7 @@ _SMALLEST = 16  # px: side of an image
 
 
 @dataclass(frozen=True)
-class Recording:
+class _Recording:
     """Images that one camera took one after the other.
 
     Attributes
@@ -43,7 +43,7 @@ class Recording:
     white_dn: float
 
 
-def list_cameras(folder: Path) -> dict[str, list[Path]]:
+def list_image_files(folder: Path) -> dict[str, list[Path]]:
     """List the image files of each camera in a folder, in the order of their numbers.
 
     Each folder inside it with images is a camera. Images in the folder itself with names that
@@ -68,7 +68,7 @@ def _images_in(folder: Path) -> list[Path]:
     return sorted((path for path in images if path.is_file()), key=last_number_order)
 
 
-def read_recordings(folder: Path, most: int, white_dn: float | None = None) -> Iterator[Recording]:
+def read_recordings(folder: Path, most: int, white_dn: float | None = None) -> Iterator[_Recording]:
     """Read the first images of every camera of a folder, camera by camera.
 
     Faults are as in `read_frames`.
@@ -79,9 +79,9 @@ def read_recordings(folder: Path, most: int, white_dn: float | None = None) -> I
     white_dn : grey value of a saturated pixel; by default that of the least bit depth of 8, 10, 12,
         14 and 16 that all of a camera's grey values fit.
     """
-    for name, paths in progress_bar(list(list_cameras(folder).items()), "measure recordings"):
+    for name, paths in progress_bar(list(list_image_files(folder).items()), "measure recordings"):
         frames = read_frames(paths[:most], most)
-        yield Recording(name, frames, white_dn or guess_white(frames))
+        yield _Recording(name, frames, white_dn or guess_white(frames))
 
 
 def guess_white(frames: Sequence[U16]) -> float:

@@ -36,7 +36,7 @@ from sabench.utils.progress import progress_bar
 _CATEGORY = {"id": 1, "name": "bubble", "supercategory": "bubble"}
 
 
-def write(root: Path, data: Dataset) -> None:
+def _write_coco(root: Path, data: Dataset) -> None:
     """Write images of 8 bits and `annotations.json` into a folder.
 
     Raises InputError for a data set that shows no bubbles.
@@ -169,7 +169,7 @@ def export(
                 raise InputError(
                     f"{opened.path}: expected no result for coco, which has true bubbles"
                 )
-            write(root, data)
+            _write_coco(root, data)
         elif program and opened is None:
             write_into(root, data.setup.cameras, program, data.setup.grid)
             _OBSERVATIONS[program](root, data, Path(out).absolute())

@@ -36,7 +36,7 @@ _NEAREST_MM, _FARTHEST_MM = 15.0, 1e5  # distances between cameras in mm; others
 
 
 @dataclass(frozen=True)
-class Pose:
+class StoredCamera:
     """Name, image and place of a camera as a file gives them.
 
     Attributes
@@ -109,7 +109,7 @@ def nearest_rotation(matrix: F64, where: str, focal_px: float) -> F64:
 
 
 def camera_of_matrix(
-    pose: Pose, matrix: F64, distortion: Distortion, pixel_mm: float = PIXEL_MM
+    pose: StoredCamera, matrix: F64, distortion: Distortion, pixel_mm: float = PIXEL_MM
 ) -> CameraModel:
     """Make a camera of a camera matrix (3, 3) and Brown-Conrady coefficients.
 
@@ -134,7 +134,7 @@ def camera_of_matrix(
 
 
 def plain_camera(
-    pose: Pose,
+    pose: StoredCamera,
     focal_px: float,
     principal_point_px: tuple[float, float],
     distortion: Distortion,
@@ -160,7 +160,7 @@ def plain_camera(
     )
 
 
-def camera_of_lens(pose: Pose, lens: Lens, focal_px: float) -> CentralCamera:
+def camera_of_lens(pose: StoredCamera, lens: Lens, focal_px: float) -> CentralCamera:
     """Fit a central camera to a map from ideal coordinates to pixels."""
     pixels = image_lattice(pose.rows, pose.columns)
     middle = lens(np.zeros((1, 2)))
@@ -168,7 +168,7 @@ def camera_of_lens(pose: Pose, lens: Lens, focal_px: float) -> CentralCamera:
     return camera_of_pairs(pose, ideal, pixels, focal_px)
 
 
-def camera_of_pairs(pose: Pose, ideal: F64, pixels: F64, focal_px: float) -> CentralCamera:
+def camera_of_pairs(pose: StoredCamera, ideal: F64, pixels: F64, focal_px: float) -> CentralCamera:
     """Fit a central camera to pairs of ideal coordinates and pixels (n, 2)."""
     rotation = nearest_rotation(pose.rotation, pose.where, focal_px)
     size = (pose.rows, pose.columns)

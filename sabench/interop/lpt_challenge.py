@@ -23,18 +23,18 @@ from sabench.geometry.lens import Distortion
 from sabench.geometry.polynomial_cameras import fit_soloff
 from sabench.geometry.projective_camera import Projective, fit_projective
 from sabench.interop.foreign import ForeignWorld, Recording, TrackTable, note, unit_mm
-from sabench.interop.lenses import PIXEL_MM, Extent, Pose, plain_camera
+from sabench.interop.lenses import PIXEL_MM, Extent, StoredCamera, plain_camera
 from sabench.interop.named_columns import table_of_columns
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.utils.tables import Array, content_lines, numbered_files, read_table
+from sabench.utils.tables import UnitArray, content_lines, numbered_files, read_table
 
 LOST_OF_CAMERAS = (
     "f-numbers and focal lengths",
     "the pixel pitch",
     "walls: the points show their effect",
 )
-FILE = "CalibPoints.txt"
+_FILE = "CalibPoints.txt"
 _NODES = 15  # nodes of the lattice along each edge of the volume
 _HELD = 3  # every third point is held out of the comparison of models
 _SQUARE = 1e-4  # shear and difference of focal lengths of a fit that counts as square pixels
@@ -49,7 +49,7 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     Raises InputError for a missing file, columns that are no pairs, too few points, or a missing
     size of the images.
     """
-    file = path / FILE if path.is_dir() else path
+    file = path / _FILE if path.is_dir() else path
     table = read_table(file, 5, missing=True)
     values = table.values
     if values.shape[1] % 2 == 0:
@@ -104,7 +104,9 @@ def _pinhole(camera: Projective, where: str) -> CameraModel | None:
     skew = max(abs(upper[0, 0] - upper[1, 1]), abs(upper[0, 1]))
     if skew > _SQUARE * focal or np.linalg.det(turn) < 0.0:
         return None
-    pose = Pose(camera.name, camera.rows, camera.columns, np.array(camera.center_mm), turn, where)
+    pose = StoredCamera(
+        camera.name, camera.rows, camera.columns, np.array(camera.center_mm), turn, where
+    )
     middle = (float(upper[0, 2]), float(upper[1, 2]))
     return replace(plain_camera(pose, focal, middle, Distortion(), PIXEL_MM), name=camera.name)
 
@@ -134,7 +136,7 @@ def write_cameras(
     columns = [points_mm, *(camera.project(points_mm)[0] for camera in cameras)]
     rows = np.hstack(columns).tolist()
     text = "".join(" ".join(repr(value) for value in row) + "\n" for row in rows)
-    (folder / FILE).write_text(text, encoding="utf-8")
+    (folder / _FILE).write_text(text, encoding="utf-8")
 
 
 LOST_OF_TRACKS = (
@@ -182,8 +184,8 @@ def _read_frame(file: Path, number: int, unit: str | None) -> TrackTable:
             f"{file}: variables: expected as many names as columns, {values.shape[1]}, got "
             f"{len(names)}"
         )
-    columns = {name: Array(values[:, i], None) for i, name in enumerate(names)}
-    frame = Array(np.full(len(values), float(number)), None)
+    columns = {name: UnitArray(values[:, i], None) for i, name in enumerate(names)}
+    frame = UnitArray(np.full(len(values), float(number)), None)
     return table_of_columns(str(file), columns | {"frame": frame}, unit)
 
 

@@ -18,7 +18,7 @@ from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens import Distortion
 from sabench.interop.foreign import ForeignWorld
-from sabench.interop.lenses import Extent, Pose, camera_of_matrix, center_of
+from sabench.interop.lenses import Extent, StoredCamera, camera_of_matrix, center_of
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 
@@ -101,7 +101,7 @@ def _camera(path: Path, name: str, fields: Structure, extent: Extent) -> CameraM
     lens = Distortion(float(radial[0]), float(radial[1]), float(p1), float(p2), float(radial[2]))
     size = fields.get("ImageSize")
     rows, columns = extent.image(where) if size is None else size.ravel()[:2].astype(int).tolist()
-    pose = Pose(name, rows, columns, center_of(rotation, move), rotation, where)
+    pose = StoredCamera(name, rows, columns, center_of(rotation, move), rotation, where)
     return camera_of_matrix(pose, matrix, lens)
 
 

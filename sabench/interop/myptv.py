@@ -86,7 +86,7 @@ def _read_tsai(
     columns, height = rows.pop(0).astype(int) if has_size else extent.image(str(path))[::-1]
     center, angles, (focal,), offset = rows[:4]
     lenses.check_positive(str(path), "image size and focal length", columns, height, focal)
-    pose = lenses.Pose(
+    pose = lenses.StoredCamera(
         _name(lines[0][1]), int(height), int(columns), center, _rotation(angles), str(path)
     )
     middle = np.array([columns, height]) / 2.0 + offset

@@ -18,10 +18,10 @@ import numpy.typing as npt
 from sabench.interop.foreign import Recording, TrackTable, note, number_strangers
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
-from sabench.utils.tables import Array, read_table
+from sabench.utils.tables import UnitArray, read_table
 from sabench.worlds.library.array_files import length_mm, read_all_arrays, speed_mm_s
 
-Columns = Mapping[str, Array]
+Columns = Mapping[str, UnitArray]
 _FRAME = ("frame", "frameid", "frame_id", "frame_number", "image", "snapshot", "timestep", "step")
 _TIME = ("time", "t", "time_s")
 _TRAJECTORY = (
@@ -54,7 +54,7 @@ class NamedColumns:
     """
 
     file: str
-    read: Callable[[Path], dict[str, Array]]
+    read: Callable[[Path], dict[str, UnitArray]]
     write: Callable[[Path, Mapping[str, npt.NDArray[Any]]], None]
     LOST_OF_TRACKS = ("light of each camera", "covariances", "probabilities")
 
@@ -84,7 +84,7 @@ class NamedColumns:
         self.write(folder / self.file, columns)
 
 
-def _read_text(file: Path) -> dict[str, Array]:
+def _read_text(file: Path) -> dict[str, UnitArray]:
     table = read_table(file, 4)
     if not table.names:
         raise InputError(f"{file}: expected a first line with the names of its columns, got none")
@@ -97,15 +97,15 @@ def _write_text(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _read_netcdf(file: Path) -> dict[str, Array]:
+def _read_netcdf(file: Path) -> dict[str, UnitArray]:
     variables = read_all_arrays(file, ".nc")
     shape = next((array.values.shape for name, array in variables.items() if name[:1] in "xX"), ())
     fields = {name: array for name, array in variables.items() if array.values.shape == shape}
     if len(shape) == 2:
         rows = {name: array for name, array in variables.items() if array.values.shape == shape[:1]}
-        number = rows or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
+        number = rows or {"trajectory": UnitArray(np.arange(shape[0], dtype=np.float64), None)}
         fields |= {
-            name: Array(np.repeat(array.values[:, None], shape[1], axis=1), array.unit)
+            name: UnitArray(np.repeat(array.values[:, None], shape[1], axis=1), array.unit)
             for name, array in number.items()
         }
     finite = np.ones(shape, dtype=bool)
@@ -114,7 +114,9 @@ def _read_netcdf(file: Path) -> dict[str, Array]:
     left = [name for name in variables if name not in fields]
     if left:
         note(f"{file}: left out the variables {', '.join(left)}, of another shape than x")
-    return {name: Array(array.values[finite].ravel(), array.unit) for name, array in fields.items()}
+    return {
+        name: UnitArray(array.values[finite].ravel(), array.unit) for name, array in fields.items()
+    }
 
 
 def _write_netcdf(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
@@ -144,10 +146,10 @@ def _storable(
     return "i4", values.astype(np.int32)
 
 
-def _read_matlab(file: Path) -> dict[str, Array]:
+def _read_matlab(file: Path) -> dict[str, UnitArray]:
     """Read the vectors of a file; matrices and structures are left out."""
     vectors = {
-        name: Array(array.values.ravel(), array.unit)
+        name: UnitArray(array.values.ravel(), array.unit)
         for name, array in read_all_arrays(file, ".mat").items()
         if array.values.size == max(array.values.shape, default=0)
     }
@@ -250,12 +252,12 @@ def _vector(
     return None
 
 
-def _factor(where: str, name: str, column: Array, unit: str | None, kind: str) -> float:
+def _factor(where: str, name: str, column: UnitArray, unit: str | None, kind: str) -> float:
     """Return a column's unit in mm, mm/s or mm/s2: the given one, its own, or mm."""
     ending = re.search(r"_(mm_s2|mm_s|mm|m)$", name.lower())
     stated = column.unit or (_UNITS[f"_{ending[1]}"] if ending else None)
     if kind == "velocity" and stated and unit is None:
-        return speed_mm_s(None, Array(column.values, stated), f"{where}: {name}", "unit")
+        return speed_mm_s(None, UnitArray(column.values, stated), f"{where}: {name}", "unit")
     if kind == "acceleration" and stated and unit is None:
         length = re.sub(r"(?:/|\s+)s.*$", "", stated)
     else:

@@ -15,10 +15,10 @@ from sabench.utils.errors import InputError
 
 _MOST_PLACES = 200_000  # points in a camera's layer, exceeded by one frame at most
 
-Layer = tuple[Any, dict[str, Any], str]
+_Layer = tuple[Any, dict[str, Any], str]
 
 
-class Frames:
+class _Frames:
     """Images (frame, row, column) of one camera, each read when it is asked for."""
 
     dtype = np.dtype(np.uint16)
@@ -44,7 +44,7 @@ class Frames:
         return np.asarray(self[:], dtype=dtype)
 
 
-def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Layer]] | None:
+def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[_Layer]] | None:
     """Return the reader of a data set's folder, or None for anything else."""
     try:
         open_dataset(_first(path))
@@ -53,7 +53,7 @@ def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Layer]
     return read_layers
 
 
-def read_layers(path: str | list[str]) -> list[Layer]:
+def read_layers(path: str | list[str]) -> list[_Layer]:
     """Return a layer of images of each camera, and one of its true particles.
 
     The particles are those of the first frames, up to some 200,000 images of each camera.
@@ -61,10 +61,10 @@ def read_layers(path: str | list[str]) -> list[Layer]:
     Raises InputError if the folder is no data set.
     """
     data = open_dataset(_first(path))
-    layers: list[Layer] = []
+    layers: list[_Layer] = []
     for number, camera in enumerate(data.setup.cameras):
         shown = {"name": camera.name, "visible": number == 0}
-        layers.append((Frames(data, number), shown | {"colormap": "gray"}, "image"))
+        layers.append((_Frames(data, number), shown | {"colormap": "gray"}, "image"))
         if data.has_truth and "particles" in data.shows:
             shown = shown | {"name": f"{camera.name} particles"}
             style = {"size": 3, "face_color": "transparent", "border_color": "cyan"}

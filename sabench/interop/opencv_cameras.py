@@ -17,7 +17,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens import Distortion
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.interop.foreign import ForeignWorld, note
-from sabench.interop.lenses import Extent, Pose, camera_of_lens, camera_of_matrix, center_of
+from sabench.interop.lenses import Extent, StoredCamera, camera_of_lens, camera_of_matrix, center_of
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.tables import read_text
@@ -57,7 +57,7 @@ def _read_camera(path: Path, extent: Extent) -> CameraModel:
     if str(nodes.get("distortion_model", "")).lower() in ("fisheye", "equidistant"):
         raise InputError(f"{path}: expected Brown-Conrady's distortion, got a fisheye lens")
     rows, columns = _size(path, nodes, extent)
-    pose = Pose(path.stem, rows, columns, center_of(rotation, move), rotation, str(path))
+    pose = StoredCamera(path.stem, rows, columns, center_of(rotation, move), rotation, str(path))
     if bent.size > 5 and bent[5:].any():
 
         def lens(ideal: F64) -> F64:

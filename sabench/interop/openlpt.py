@@ -27,7 +27,7 @@ from sabench.interop.named_columns import table_of_columns
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.processes import python
-from sabench.utils.tables import Array, read_table
+from sabench.utils.tables import UnitArray, read_table
 
 if TYPE_CHECKING:
     from sabench.interop.image_statistics import FrameStatistics
@@ -147,7 +147,7 @@ def camera_text(camera: Camera) -> str:
 
 def missing() -> str | None:
     """Return how to install the program; None if it is installed."""
-    return python.missing("pyopenlpt", "openlpt")
+    return python.missing_package("pyopenlpt", "openlpt")
 
 
 def unfit(camera: Camera) -> str | None:
@@ -349,7 +349,7 @@ def _read_file(file: Path, unit: str | None) -> TrackTable:
         raise InputError(
             f"{file}: expected a column {missing}, got {', '.join(names) or 'no names'}"
         )
-    columns = {name: Array(table.values[:, names.index(name)], None) for name in _HEAD}
+    columns = {name: UnitArray(table.values[:, names.index(name)], None) for name in _HEAD}
     return table_of_columns(str(file), columns, unit)
 
 

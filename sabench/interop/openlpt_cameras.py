@@ -57,7 +57,7 @@ def _read_camera(path: Path) -> CameraModel:
     lenses.check_positive(str(path), "image size", *size)
     wall = _read_plates(path, rest[len(_COUNTS) :]) if kind == "PINPLATE" else None
     center, (height, width) = lenses.center_of(rotation, rows[12]), size.astype(int).tolist()
-    pose = lenses.Pose(path.stem, height, width, center, rotation, str(path), wall)
+    pose = lenses.StoredCamera(path.stem, height, width, center, rotation, str(path), wall)
     values = rows[4].tolist()
     if len(values) > 5 and any(values[5:]):
         raise InputError(f"{path}: expected five coefficients of distortion, got {len(values)}")

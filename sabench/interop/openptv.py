@@ -83,7 +83,7 @@ def derive_settings(
 
 def missing() -> str | None:
     """Return how to install the program; None if it is installed."""
-    return python.missing("optv", "optv")
+    return python.missing_package("optv", "optv")
 
 
 def unfit(camera: Camera) -> str | None:
@@ -109,7 +109,7 @@ def unlike(cameras: Sequence[Camera]) -> str | None:
     """Return why OpenPTV cannot describe cameras together; None if it can."""
     first = cameras[0]
     for camera in cameras:
-        if media_of(camera) != media_of(first):
+        if list_media(camera) != list_media(first):
             got = f"{camera.name} has another than {first.name}"
             return f"OpenPTV supports one kind of wall, and {got}"
         if camera.pixel_mm != first.pixel_mm:
@@ -185,7 +185,7 @@ def distortion_text(camera: Camera) -> str:
     return " ".join(repr(value) for value in values) + "\n"
 
 
-def media_of(camera: Camera) -> dict[str, Any]:
+def list_media(camera: Camera) -> dict[str, Any]:
     """List refractive indices and thicknesses of the media."""
     wall = camera.wall
     if wall is None:
@@ -236,7 +236,7 @@ def write_project(
         "frames": frames,
         "image_size": [first.columns, first.rows],
         "pixel_mm": first.pixel_mm,
-        "media": media_of(first),
+        "media": list_media(first),
         "x_mm": ends[:, 0].tolist(),
         "z_mm": ends[:, 2].tolist(),
     }

@@ -121,7 +121,9 @@ def _read_camera(root: Path, name: str, control: _Control) -> CameraModel:
     rotation = np.stack([turned[:, 0], -turned[:, 1], -turned[:, 2]])
     wall = _wall(path, control, glass, position)
     plain = Path(name).name.split(".")[0]
-    pose = lenses.Pose(plain, control.rows, control.columns, position, rotation, str(path), wall)
+    pose = lenses.StoredCamera(
+        plain, control.rows, control.columns, position, rotation, str(path), wall
+    )
     addpar = _read_distortion(root / f"{name}.addpar")
     return _camera(pose, control, distance, np.array([across, above]), addpar)
 
@@ -155,7 +157,7 @@ def _wall(path: Path, control: _Control, glass: F64, position: F64) -> Wall | No
 
 
 def _camera(
-    pose: lenses.Pose, control: _Control, distance: float, offset: F64, addpar: F64
+    pose: lenses.StoredCamera, control: _Control, distance: float, offset: F64, addpar: F64
 ) -> CameraModel:
     """Make a `Camera` if it has such a lens, else a central camera."""
     k1, k2, k3, p1, p2, scale, shear = addpar.tolist()
@@ -208,7 +210,7 @@ def write_cameras(
         for suffix, text in zip(_SUFFIXES, texts, strict=True):
             path = folder / "cal" / f"cam{number}.tif{suffix}"
             path.write_text(text, encoding="utf-8")
-    first, media = cameras[0], openptv.media_of(cameras[0])
+    first, media = cameras[0], openptv.list_media(cameras[0])
     names = [
         name
         for number in range(1, len(cameras) + 1)

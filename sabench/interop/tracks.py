@@ -77,7 +77,7 @@ _LISTED = 10  # frames that a sentence lists
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportedResult:
     """Summary of an imported result.
 
     Attributes
@@ -102,7 +102,7 @@ def import_result(
     first: int | None = None,
     solver: str | None = None,
     overwrite: bool = False,
-) -> Imported:
+) -> ImportedResult:
     """Make a result file of the particles that another program found in a data set.
 
     A file `sabench-world.json` that `export` has written next to them, or up to two folders above,
@@ -133,7 +133,7 @@ def import_result(
         for frame, estimate in enumerate(estimates):
             writer.add(estimate, frame)
     tracks = None if table.trajectory is None else len(np.unique(table.trajectory))
-    return Imported(Path(out), len(table), setup.frames, tracks)
+    return ImportedResult(Path(out), len(table), setup.frames, tracks)
 
 
 def _renumbered(source: Path, table: TrackTable, first: int | None, frames: int) -> TrackTable:

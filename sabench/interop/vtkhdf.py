@@ -17,7 +17,7 @@ from sabench.dataset.results import Result
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import border_pixels, light_paths
 from sabench.geometry.grid import Grid, divergence, gradient, vorticity
-from sabench.metrics.bubble_detection import AnyBubbles, match
+from sabench.metrics.bubble_detection import AnyBubbles, match_bubbles
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import BubbleWorld
@@ -26,7 +26,7 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.library.overlaps import shapes_of
-from sabench.worlds.tracers import lattice
+from sabench.worlds.tracers import sample_lattice
 
 _NODES = 50  # nodes of the exact field along the volume's longest edge, by default
 # version of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
@@ -83,7 +83,7 @@ def _export_truth(root: Path, data: Dataset) -> None:
                 {"intensity": volume},
             )
         if world.tracers is not None and world.tracers.flow is not None:
-            field, slopes = lattice(scene, frame, step, data.manifest.seed)
+            field, slopes = sample_lattice(scene, frame, step, data.manifest.seed)
             write_lattice(
                 root / f"flow_{frame:04d}.vtkhdf",
                 field.low_mm,
@@ -125,7 +125,7 @@ def _write_detections(root: Path, data: Dataset, frame: int, estimate: Detection
     values = _shapes(estimate)
     if data.has_truth:
         true = data.bubbles(frame)
-        i, j = match(estimate.center_mm, true.center_mm, true.radius_mm)
+        i, j = match_bubbles(estimate.center_mm, true.center_mm, true.radius_mm)
         which = np.full(len(estimate.center_mm), -1)
         which[i] = j
         hit = which >= 0

@@ -79,7 +79,7 @@ _NEAR = 0.5  # of a true bubble's radius
 AnyBubbles = Detections | Bubbles
 
 
-def match(estimate_mm: F64, truth_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
+def match_bubbles(estimate_mm: F64, truth_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
     """Match detected and true bubbles one to one.
 
     Pairs are as many as possible, and as close as possible.
@@ -131,7 +131,7 @@ def detection_scores(estimate: AnyBubbles, truth: AnyBubbles, visible: F64) -> d
     ----------
     visible : (n,) fraction of each true bubble that the cameras see, mean over them.
     """
-    i, j = match(estimate.center_mm, truth.center_mm, truth.radius_mm)
+    i, j = match_bubbles(estimate.center_mm, truth.center_mm, truth.radius_mm)
     large = truth.radius_mm[j] >= LARGE_MM
     air, true_air = (
         4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (estimate, truth)
@@ -157,7 +157,7 @@ def _counts(
     hit[j], ghost[i] = True, False
     large = truth.radius_mm >= LARGE_MM
     every = np.ones(len(large), dtype=np.bool_)
-    near_large = large[nearest(truth, estimate.center_mm[ghost])]
+    near_large = large[nearest_bubble(truth, estimate.center_mm[ghost])]
     return {
         "f1": _f1(hit, every, int(ghost.sum())),
         "f1_large": _f1(hit, large, int(near_large.sum())),
@@ -169,7 +169,7 @@ def _counts(
     }
 
 
-def nearest(bubbles: AnyBubbles, points_mm: F64) -> I64:
+def nearest_bubble(bubbles: AnyBubbles, points_mm: F64) -> I64:
     """Find the bubble (n,) with the cell of the power diagram around each point.
 
     The answer is empty if there is no bubble. The cell of a bubble holds the points where

@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages
-from sabench.algorithms.calibration.cramer_rao import Limit, limit
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, common_plane
+from sabench.algorithms.calibration.cramer_rao import Limit, compute_bound
+from sabench.algorithms.calibration.parameters import FreeParameters, WallFrame, common_plane
 from sabench.algorithms.calibration.problem import make_anchors
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
@@ -58,7 +58,7 @@ def calibration_scores(
     true_pixels : (camera, frame, point, 2) their exact images.
     good : (camera, frame, point) which points were detected and are no outliers.
     """
-    frame = Frame.from_cameras(true_cameras, truth_mm)
+    frame = WallFrame.from_cameras(true_cameras, truth_mm)
     noise_px = detection_noise(case.pixels, true_pixels, good)
     bound = lower_bound(case, frame, truth_mm, good, noise_px)
     points, visible = target_points(estimate, case), np.asarray(good.any(axis=0))
@@ -72,7 +72,7 @@ def calibration_scores(
         scores[f"{axis}_std_ratio"] = ratio
     scores["bound_z_mean_mm"] = float(bound.point_mean_mm[2]) if bound else None
     scores["spacing_mm"] = spacing_error(points, truth_mm, visible, frame.motion)
-    scores |= detection_scores(case.pixels, true_pixels, good)
+    scores |= _detection_scores(case.pixels, true_pixels, good)
     return scores | wall_scores(wall, common_plane(true_cameras))
 
 
@@ -134,7 +134,7 @@ def detection_noise(pixels: F64, truth: F64, good: Bool) -> float:
     return root_mean_square(errors) if len(errors) else 0.0
 
 
-def detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
+def _detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
     """Compute mean error and scatter of good pixels (..., 2)."""
     keys = ("found_bias_column_px", "found_bias_row_px", "found_std_px")
     errors = (pixels - truth)[good]
@@ -145,7 +145,7 @@ def detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
 
 
 def lower_bound(
-    case: CalibrationCase, frame: Frame, truth_mm: F64, good: Bool, noise_px: float
+    case: CalibrationCase, frame: WallFrame, truth_mm: F64, good: Bool, noise_px: float
 ) -> Limit | None:
     """Compute the Cramer-Rao bound of a case; None without noise or if singular.
 
@@ -159,7 +159,9 @@ def lower_bound(
     pixels, weights = np.nan_to_num(case.pixels), good.astype(np.float64)
     views = BoardImages(board, pixels, weights, anchors, frame.beyond_kernels)
     try:
-        return limit(frame.state(board, truth_mm), views, FreeParameters.from_case(case), noise_px)
+        return compute_bound(
+            frame.state(board, truth_mm), views, FreeParameters.from_case(case), noise_px
+        )
     except np.linalg.LinAlgError:  # positions and cameras far from anything real
         return None
 

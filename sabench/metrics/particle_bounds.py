@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import gammaincinv
 
-from sabench.api.truth import View
+from sabench.api.truth import ParticleView
 from sabench.geometry.camera import Camera
 from sabench.images.position_bounds import ParticleSpots
 from sabench.scenes.sensor import Sensor
@@ -17,7 +17,7 @@ _STEP_MM = 1e-3
 
 def true_spots(
     position_mm: F64,
-    views: Sequence[View],
+    views: Sequence[ParticleView],
     cameras: Sequence[Camera],
     recorded: Sequence[U16],
     sensors: Sensor,

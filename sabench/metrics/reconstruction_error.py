@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sabench.api import Reconstruction
-from sabench.api.truth import Particles, View
+from sabench.api.truth import Particles, ParticleView
 from sabench.geometry.grid import Grid, check_volume, synthesise
 from sabench.metrics import particle_detection as detection
 from sabench.metrics.quality_factor import quality
@@ -19,7 +19,7 @@ from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, U8, Bool
 
 
-def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
+def true_field(grid: Grid, particles: Particles, views: Sequence[ParticleView]) -> F32:
     """Synthesise the field E_s (z, y, x) of a frame's particles.
 
     Every particle, visible or not, is a Gaussian sphere in mm. Its peak is its `brightness`, its
@@ -42,7 +42,7 @@ def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
     return synthesise(grid, particles.position_mm, brightness(views), sigma_px * grid.voxel_mm[0])
 
 
-def brightness(views: Sequence[View]) -> F64:
+def brightness(views: Sequence[ParticleView]) -> F64:
     """Average each particle's relative photon count over cameras that see its light.
 
     The count of a camera is relative to the mean of all particles illuminated in it. Returns
@@ -182,11 +182,17 @@ def _climb(volume: F32, step: U8, summits: I64) -> F64:
 
 
 _DETECTION = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
-SCORES = ("q", "peak_f1", "intensity_error", *_DETECTION, *(f"peak_{key}" for key in _DETECTION))
+SCORE_KEYS = (
+    "q",
+    "peak_f1",
+    "intensity_error",
+    *_DETECTION,
+    *(f"peak_{key}" for key in _DETECTION),
+)
 
 
 def score_frame(
-    grid: Grid, particles: Particles, views: Sequence[View], estimate: Reconstruction
+    grid: Grid, particles: Particles, views: Sequence[ParticleView], estimate: Reconstruction
 ) -> dict[str, float | None]:
     """Score one frame's estimate against its true particles; the keys are `SCORES`."""
     truth, peaks = grid.to_voxels(particles.position_mm), _peaks(grid, estimate)

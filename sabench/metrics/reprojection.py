@@ -98,9 +98,11 @@ def fit_light(image: F64, patches: Patches, count: int) -> LightFit:
     square = (patches.image**2).sum(axis=1)
     light = given / np.maximum(square, 1e-12)
     for _ in range(_ROUNDS):
-        shown = (patches.image * _read(draw(image.shape, patches, light), patches)).sum(axis=1)
+        shown = (
+            patches.image * _read(draw_reprojection(image.shape, patches, light), patches)
+        ).sum(axis=1)
         light *= given / np.maximum(shown, 1e-12)
-    left = image - draw(image.shape, patches, light)
+    left = image - draw_reprojection(image.shape, patches, light)
     all_light, shift = np.full(count, np.nan), np.full((count, 2), np.nan)
     all_light[patches.rows] = light
     shift[patches.rows] = _shifts(left, patches, light)
@@ -127,7 +129,7 @@ def matched_light(image: F64, patches: Patches) -> F64:
     return np.where(square > 0.0, light, np.nan)
 
 
-def draw(shape: tuple[int, ...], patches: Patches, light: F64) -> F64:
+def draw_reprojection(shape: tuple[int, ...], patches: Patches, light: F64) -> F64:
     """Draw the image (row, column) of particles in view with light (m,)."""
     values = patches.image * light[:, None]
     inside = patches.at >= 0

@@ -22,7 +22,7 @@ import numpy as np
 
 from sabench.api.truth import Bubbles
 from sabench.metrics.averages import ratio
-from sabench.metrics.bubble_detection import AnyBubbles, match
+from sabench.metrics.bubble_detection import AnyBubbles, match_bubbles
 from sabench.utils.arrays import F64, I64
 
 
@@ -160,7 +160,7 @@ def trajectory_scores(
     sequences : frames that follow each other; trajectories from one to the next do not count.
     """
     matched = [
-        match(frame.center_mm, true.center_mm, true.radius_mm)
+        match_bubbles(frame.center_mm, true.center_mm, true.radius_mm)
         for frame, true in zip(estimate, truth, strict=True)
     ]
     centers, true_centers = ([frame.center_mm for frame in part] for part in (estimate, truth))

@@ -11,13 +11,13 @@ from sabench.api import Velocity
 from sabench.geometry.grid import gradient, vorticity
 from sabench.utils.arrays import F64
 
-Vector = tuple[float, float, float]
+_Vector = tuple[float, float, float]
 Sampled = Callable[[F64], F64]  # values (n, ...) at points (n, 3), NaN where unknown
 _SIDE = 200  # points along each side of a contour
 _FINE = 121  # points along each side of the square that is searched for a core
 
 
-def sample(field: Velocity, values: F64) -> Sampled:
+def interpolate_field(field: Velocity, values: F64) -> Sampled:
     """Interpolate values (z, y, x, ...) linearly between a field's nodes.
 
     NaN beyond the nodes. A planar field stands for its depth, half of it on either side.
@@ -47,7 +47,7 @@ def spin_of(field: Velocity) -> Sampled:
     spin = vorticity(gradient(aligned.velocity_mm_s, aligned.step_mm))
     if field.plane_axes is not None:
         spin[..., :2] = 0.0
-    return sample(field, spin @ field.axes)
+    return interpolate_field(field, spin @ field.axes)
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class HalfPlane:
         return np.asarray(self.center_mm + r[:, None] * self.outward + z[:, None] * self.axis)
 
 
-def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -> HalfPlane:
+def half_plane(center_mm: _Vector, axis: _Vector, start: _Vector, degrees: float) -> HalfPlane:
     """Make the half plane at an angle about a ring's axis.
 
     The angle is right-handed, from the half plane that holds the start direction.

@@ -10,8 +10,14 @@ import numpy as np
 from sabench.utils.arrays import F64
 from sabench.utils.number_text import round_down
 
-Kind = Literal["camera", "ray", "wall", "sheet", "volume"]
-KINDS: tuple[Kind, ...] = ("sheet", "volume", "wall", "ray", "camera")  # as they are painted
+_Kind = Literal["camera", "ray", "wall", "sheet", "volume"]
+OUTLINE_KINDS: tuple[_Kind, ...] = (
+    "sheet",
+    "volume",
+    "wall",
+    "ray",
+    "camera",
+)  # as they are painted
 
 # Okabe and Ito: colours that the colour-blind can distinguish
 STYLE = """
@@ -34,7 +40,7 @@ _BAR = 0.25  # of the width: longest scale bar
 class Outline:
     """Line or polygon (n, 2) in mm as (horizontal, vertical), y downwards."""
 
-    kind: Kind
+    kind: _Kind
     points_mm: F64
     closed: bool = False
 
@@ -53,7 +59,7 @@ def draw_outlines(
     scale = float((np.array(_LARGEST_PX) / size).min())
     width, height = size * scale
     shapes = []
-    for outline in sorted(outlines, key=lambda outline: KINDS.index(outline.kind)):
+    for outline in sorted(outlines, key=lambda outline: OUTLINE_KINDS.index(outline.kind)):
         points = (outline.points_mm - low_mm) * scale
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points if np.isfinite([x, y]).all())
         element = "polygon" if outline.closed else "polyline"

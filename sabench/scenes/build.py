@@ -262,7 +262,7 @@ def _places(spec: Cameras) -> list[Place]:
     elif isinstance(layout, LineLayout):
         offsets = arrays.line(layout.count, layout.spacing_mm, np.deg2rad(layout.angle_deg))
     elif isinstance(layout, CrossLayout):
-        offsets = arrays.cross(layout.arm, layout.spacing_mm)
+        offsets = arrays.make_cross(layout.arm, layout.spacing_mm)
     elif layout.x_mm is not None and layout.y_mm is not None:
         offsets = arrays.grid(layout.x_mm, layout.y_mm)
     else:  # all others are given: the scene checks it

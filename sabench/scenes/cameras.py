@@ -45,7 +45,7 @@ def line(count: int, spacing_mm: float, angle_rad: float = 0.0) -> F64:
     return np.asarray(uniform_offsets(count, spacing_mm)[:, None] * direction)
 
 
-def cross(arm: int, spacing_mm: float) -> F64:
+def make_cross(arm: int, spacing_mm: float) -> F64:
     """Make a centre and four arms of `arm` offsets each: 4 arm + 1 in all."""
     steps = np.arange(1, arm + 1) * spacing_mm
     zero = np.zeros_like(steps)

@@ -42,7 +42,7 @@ from sabench.utils.validation import (
     Vector,
     WallNumber,
     join_faults,
-    nearest,
+    nearest_word,
     refuse,
 )
 
@@ -298,7 +298,7 @@ def _name_tables(values: dict[str, Any]) -> set[str]:
     """Name the tables that a file gives; a misspelt one counts as its nearest match."""
     tables = Scene.model_fields
     keys = {str(key) for key, value in values.items() if value not in (None, [], ())}
-    return {key if key in tables else nearest(key, tables) or key for key in keys}
+    return {key if key in tables else nearest_word(key, tables) or key for key in keys}
 
 
 def plain(value: Any) -> Any:

@@ -106,7 +106,7 @@ class CameraView:
         return np.divide(self.photons, etendue, out=dark, where=etendue > 0.0)
 
 
-def render(frame: FrameContent, camera: int) -> CameraView:
+def render_camera_view(frame: FrameContent, camera: int) -> CameraView:
     """Render a frame as one camera of its rig sees it; `camera` is its number there."""
     if frame.target is not None:
         return _render_target(frame, camera)

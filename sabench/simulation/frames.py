@@ -93,7 +93,7 @@ class FrameContent:
         return stream(self.seed, "sensor", self.number, camera)
 
 
-def inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
+def _inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
     """Find which points (n, 3) lie in a bubble or a body."""
     if not solids:
         return _in_bubbles(bubbles, points_mm)
@@ -158,7 +158,7 @@ class Frames:
         self._phases = Phases(scene, seed) if isinstance(world, BubbleWorld) else None
         self.motion = Motion(scene, seed) if world.tracers else None
         is_target = isinstance(world, TargetWorld)
-        self.placed = calibration_targets.place(scene, seed) if is_target else None
+        self.placed = calibration_targets.pose_target(scene, seed) if is_target else None
 
     @property
     def chained(self) -> bool:
@@ -175,7 +175,7 @@ class Frames:
         if self._phases is None or bubbles is None or particles is None:
             return self.assemble(number, bubbles, particles)
         solids = [solid for solid, _ in self._phases.bodies(number)]
-        which = ~inside(bubbles, solids, particles.position_mm)
+        which = ~_inside(bubbles, solids, particles.position_mm)
         particles = Particles(
             particles.id[which],
             particles.position_mm[which],

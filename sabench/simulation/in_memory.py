@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.api import Observation
-from sabench.api.truth import Particles, View
+from sabench.api.truth import Particles, ParticleView
 from sabench.dataset.reader import build_observation
 from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import Scene, build_rig
 from sabench.scenes.focusing import nominal_cameras
-from sabench.simulation.camera_view import record_image, render
+from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.utils.arrays import U16
 from sabench.utils.backend import Renderer, choose_renderer
@@ -24,7 +24,7 @@ class Shot:
 
     observation: Observation
     particles: Particles
-    views: list[View]
+    views: list[ParticleView]
 
 
 def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat") -> Shot:
@@ -60,9 +60,9 @@ def _simulate_frame(frames: Frames, frame: int) -> Shot:
     return Shot(observation_of(content, images, lowest), content.tracers.particles, views)
 
 
-def record_frame(frame: FrameContent) -> tuple[list[U16], list[View]]:
+def record_frame(frame: FrameContent) -> tuple[list[U16], list[ParticleView]]:
     """Record the images of a frame and the true particle images, camera by camera."""
-    rendered = [render(frame, camera) for camera in range(len(frame.rig.cameras))]
+    rendered = [render_camera_view(frame, camera) for camera in range(len(frame.rig.cameras))]
     images = [record_image(frame, view, camera) for camera, view in enumerate(rendered)]
     return images, [view.particles for view in rendered if view.particles is not None]
 

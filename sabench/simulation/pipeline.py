@@ -19,8 +19,8 @@ from sabench.simulation.recording.recorders import Recorder, record_task, record
 from sabench.simulation.recording.schedule import (
     InProcess,
     ProcessPool,
+    RecordingTask,
     Schedule,
-    Task,
     UnfinishedError,
     WorkerPool,
     run_schedule,
@@ -126,7 +126,7 @@ def load_checked(
 
 
 def worker_pool(
-    root: Path, do: Callable[[Task], None], jobs: int, scheduler: str | None
+    root: Path, do: Callable[[RecordingTask], None], jobs: int, scheduler: str | None
 ) -> contextlib.closing[WorkerPool]:
     """Open this process, some processes or the workers of a Dask scheduler as a pool.
 

@@ -14,7 +14,14 @@ from typing import Any
 
 from sabench.dataset import schema
 from sabench.dataset.sample_set import SampleSet, open_samples
-from sabench.dataset.shards import Compression, Kept, Shard, ShardFolder, TruthKind, check_shares
+from sabench.dataset.shards import (
+    Compression,
+    Shard,
+    ShardContents,
+    ShardFolder,
+    TruthKind,
+    check_shares,
+)
 from sabench.dataset.writer import list_versions, with_copies
 from sabench.scenes import Scene, build_rig
 from sabench.simulation.pipeline import check_affordable, load_checked, locked, worker_pool
@@ -190,7 +197,7 @@ def generate_samples(
     counts = {"samples": samples, "jobs": jobs, "size": 1 if size is None else size}
     loaded, label = load_checked(scene, name, seed, **counts)
     check_shares(split)
-    target, kept = Path(out).absolute(), Kept(tuple(truth), compression)
+    target, kept = Path(out).absolute(), ShardContents(tuple(truth), compression)
     rig = build_rig(loaded, label)
     pixels = len(rig.cameras) * loaded.cameras.rows * loaded.cameras.columns * loaded.frames
     size = size or min(_MOST_SAMPLES, max(1, _SHARD_BYTES // (2 * pixels)))

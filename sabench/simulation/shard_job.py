@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from sabench.api import Observation
-from sabench.api.truth import Particles, View
+from sabench.api.truth import Particles, ParticleView
 from sabench.dataset.sample_set import Batch, make_batch
 from sabench.dataset.shards import (
-    Kept,
     SampleRecord,
     Shard,
+    ShardContents,
     ShardFolder,
     check_shares,
     plan_shards,
@@ -35,11 +35,11 @@ from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import ParticleWorld, Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.scenes.variation import draw_values, extremes, with_values
-from sabench.simulation.camera_view import render
+from sabench.simulation.camera_view import render_camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.in_memory import observation_of, record_frame
 from sabench.simulation.recording.parts import JOB, Job, read_job
-from sabench.simulation.recording.schedule import Task
+from sabench.simulation.recording.schedule import RecordingTask
 from sabench.utils import memory
 from sabench.utils.arrays import F32, U16
 from sabench.utils.backend import Renderer, choose_renderer, limit_kernels
@@ -47,7 +47,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.rng import stream as random_stream
 
-Views = tuple[tuple[View, ...], ...]  # of each frame and camera
+Views = tuple[tuple[ParticleView, ...], ...]  # of each frame and camera
 _SMALL_PX = 4_000_000  # of all cameras: threads that meet cost more time than they save
 _MOST_DRAWS = 1000  # of one sample's values: none of them gives a scene that can be
 
@@ -244,7 +244,7 @@ class ShardJob:
     samples: int
     shares: tuple[float, ...]
     size: int
-    kept: Kept
+    kept: ShardContents
 
     @functools.cached_property
     def shards(self) -> list[Shard]:
@@ -296,7 +296,7 @@ class ShardJob:
 def read_shard_job(root: Path) -> ShardJob:
     """Read the job of a folder; raises as `read_job`."""
     job, plan = read_job(root), read_json(root / PLAN)
-    kept = Kept(tuple(plan["truth"]), plan["compression"])
+    kept = ShardContents(tuple(plan["truth"]), plan["compression"])
     return ShardJob(job, plan["samples"], tuple(plan["split"]), plan["shard size"], kept)
 
 
@@ -308,7 +308,7 @@ class ShardMaker:
         self._shards, self._shape = job.shards, job.shape
         self._maker = SampleMaker(job.job.scene, job.job.seed, job.job.renderer)
 
-    def __call__(self, task: Task) -> None:
+    def __call__(self, task: RecordingTask) -> None:
         """Make the shard of a task, unless it is there and intact."""
         shard, origin = self._shards[task.frame], (self._job.job.seed, self._key)
         if self._folder.read(shard, *origin) is None:
@@ -328,5 +328,7 @@ class ShardMaker:
         frames = Frames(one.scene, one.rig, one.seed, self._job.job.renderer)
         cameras = range(len(one.rig.cameras))
         contents = (frames.at(number) for number in range(one.scene.frames))
-        light = [[render(content, n).radiance() for n in cameras] for content in contents]
+        light = [
+            [render_camera_view(content, n).radiance() for n in cameras] for content in contents
+        ]
         return np.array(light, dtype=np.float32)

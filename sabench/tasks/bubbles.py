@@ -18,7 +18,7 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.metrics.averages import finite_or_none, mean_of_each
-from sabench.metrics.bubble_detection import AnyBubbles, detection_scores, match
+from sabench.metrics.bubble_detection import AnyBubbles, detection_scores, match_bubbles
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
@@ -64,7 +64,7 @@ def _inch(center_mm: F64) -> tuple[float, float]:
 
 def detection_figure(found: AnyBubbles, true: AnyBubbles) -> Figure:
     """Draw the found, missed and false bubbles across X-Y and Z-Y."""
-    i, j = match(found.center_mm, true.center_mm, true.radius_mm)
+    i, j = match_bubbles(found.center_mm, true.center_mm, true.radius_mm)
     ghosts, missed = (
         np.setdiff1d(np.arange(len(bubbles.radius_mm)), hit)
         for bubbles, hit in ((found, i), (true, j))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.calibration.parameters import Frame
+from sabench.algorithms.calibration.parameters import WallFrame
 from sabench.api import Calibration, CalibrationCase, Observation
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
@@ -227,7 +227,7 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
     good = case.found & ~outliers
     scores = calibration_scores(answer, case, data.true_cameras, truth_mm, exact, good)
     noise_px = detection_noise(case.pixels, exact, good)
-    motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
+    motion = WallFrame.from_cameras(data.true_cameras, truth_mm).motion
     aligned = target_alignment(target_points(answer, case), truth_mm, motion)
     # draw random points (n, 3) of the volume, with noisy pixels (camera, n, 2). The true cameras
     # project the points

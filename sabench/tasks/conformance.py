@@ -45,7 +45,7 @@ Verdict = Literal["obeyed", "broken", "skipped"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class LawResult:
     """Result of one law; `text` is the reason why it is broken or skipped."""
 
     law: str
@@ -214,7 +214,7 @@ def check_solver(
     *,
     folder: Path | None = None,
     laws: tuple[Callable[[Any], None], ...] = LAWS,
-) -> Iterator[Finding]:
+) -> Iterator[LawResult]:
     """Test a solver against the laws; yield each finding as soon as it is made.
 
     Parameters
@@ -237,22 +237,22 @@ def check_solver(
             yield _try(law, trial)
 
 
-def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
+def _try(law: Callable[[_Trial], None], trial: _Trial) -> LawResult:
     name = law.__name__.replace("_", " ")
     try:
         law(trial)
     except _SkippedError as reason:
-        return Finding(name, "skipped", str(reason))
+        return LawResult(name, "skipped", str(reason))
     except AssertionError as error:
-        return Finding(name, "broken", str(error).split("\n")[0])
+        return LawResult(name, "broken", str(error).split("\n")[0])
     except InputError as error:
         if law in (find_nothing_in_the_dark, survive_a_covered_camera):
             # an InputError is a valid answer to such images
-            return Finding(name, "obeyed", f"it refuses such images: {error}")
-        return Finding(name, "broken", str(error))
+            return LawResult(name, "obeyed", f"it refuses such images: {error}")
+        return LawResult(name, "broken", str(error))
     except Exception as error:
-        return Finding(name, "broken", f"{type(error).__name__}: {error}")
-    return Finding(name, "obeyed")
+        return LawResult(name, "broken", f"{type(error).__name__}: {error}")
+    return LawResult(name, "obeyed")
 
 
 def first_case(solver: str, data: Dataset, parameters: Mapping[str, Any] | None = None) -> Any:

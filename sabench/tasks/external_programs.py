@@ -22,7 +22,7 @@ from sabench.tasks.visible_files import open_sandbox, view_of_program
 from sabench.utils.errors import InputError
 from sabench.utils.files import clear_abandoned, is_file, refuse_existing
 from sabench.utils.processes.call import call_isolated
-from sabench.utils.processes.program import Limits, run_limited
+from sabench.utils.processes.program import ProgramLimits, run_limited
 from sabench.utils.progress import console
 from sabench.utils.validation import printable
 
@@ -70,7 +70,7 @@ def run_program(
     out: Path,
     *,
     parameters: dict[str, Any] | None = None,
-    limits: Limits | None = None,
+    limits: ProgramLimits | None = None,
     overwrite: bool = False,
 ) -> Result:
     """Run a program on a data set, check its result, and move it into place.
@@ -84,7 +84,7 @@ def run_program(
         No such program, a program that fails or breaks a limit, or a result that breaks
         docs/formats/result.md.
     """
-    path, limits = find_program(program), limits or Limits()
+    path, limits = find_program(program), limits or ProgramLimits()
     refuse_existing(out, overwrite=overwrite)
     with open_sandbox(dataset) as sandbox, sandbox.naming(dataset.root, out):
         sees = "; sees its folder and SABENCH_VISIBLE" if sandbox.confined else "; not confined"

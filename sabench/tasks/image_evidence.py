@@ -30,7 +30,7 @@ _SHIFTS = 5  # multiples of the scramble's shift used to measure chance
 _BLUR_PX = 0.7  # standard deviation of a voxel's image
 
 
-class Shown(NamedTuple):
+class _CameraEvidence(NamedTuple):
     """Evidence of one camera for particles that were found without it.
 
     Attributes
@@ -90,7 +90,7 @@ class FrameEvidence:
 
     def compare(
         self, camera: int, positions_mm: F64, found_mm: F64, shift: tuple[int, int]
-    ) -> Shown:
+    ) -> _CameraEvidence:
         """Compare a camera's light at particles found without it, with it, and elsewhere.
 
         Light is ranked among the light at other positions (mean rank one half): particles show
@@ -115,14 +115,14 @@ class FrameEvidence:
         )
         expected = self._light(camera, self._pixels(camera, found_mm))
         if not (len(light) and len(expected) and len(elsewhere)):
-            return Shown(float("nan"), float("nan"))
+            return _CameraEvidence(float("nan"), float("nan"))
         excess = [
             float(np.searchsorted(elsewhere, sample).mean()) / len(elsewhere) - 0.5
             for sample in (light, expected)
         ]
         share = excess[0] / excess[1] if excess[1] > 0.0 else float("nan")
         chance = float((elsewhere > _HIT * np.median(expected)).mean())
-        return Shown(float(np.clip(share, 0.0, 1.0)), chance)
+        return _CameraEvidence(float(np.clip(share, 0.0, 1.0)), chance)
 
     def count_shown(
         self, camera: int, positions_mm: F64, found_mm: F64, shift: tuple[int, int]
@@ -150,7 +150,9 @@ class FrameEvidence:
         finite = np.isfinite(lights)
         light = np.where(finite, lights, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
         patches = self._patches(camera, self._pixels(camera, positions_mm))
-        drawn = reprojection.draw(self.images[camera].shape, patches, light[patches.rows])
+        drawn = reprojection.draw_reprojection(
+            self.images[camera].shape, patches, light[patches.rows]
+        )
         return correlate(self.images[camera], drawn, self.valid[camera])
 
     def _pixels(self, camera: int, positions_mm: F64) -> F64:
@@ -192,7 +194,7 @@ def volume_correlation(case: Observation, camera: int, volume: F32) -> float:
         pixels, valid = case.cameras[camera].project(points)
         pixels = np.where(valid[:, None], pixels, np.nan)
         patches = reprojection.cut_patches(image.shape, pixels, np.full(2, _BLUR_PX), pixel_valid)
-        drawn += reprojection.draw(
+        drawn += reprojection.draw_reprojection(
             image.shape, patches, plane[row, column].astype(np.float64)[patches.rows]
         )
     return correlate(image, drawn, pixel_valid)

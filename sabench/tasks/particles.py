@@ -27,10 +27,10 @@ from sabench.tasks.task import (
     Captions,
     Figures,
     Gate,
+    MatchingCurve,
     Score,
     Source,
     Task,
-    Tolerance,
     check_number,
     share_near,
 )
@@ -42,7 +42,7 @@ from sabench.utils.progress import progress_bar
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
 # share of the particles found with the cameras in another order, and how near, in voxels
 _ALIKE, _NEAR_VOXELS = 0.9, 0.2
-_TOLERANCE = Tolerance("f1", "F1", "voxel", particle_detection.MATCHING_DISTANCES)
+_TOLERANCE = MatchingCurve("f1", "F1", "voxel", particle_detection.MATCHING_DISTANCES)
 
 
 class ParticlesTask(Task):
@@ -201,7 +201,7 @@ class ParticlesTask(Task):
         estimates = self._all(data, source, truth)
         pairs = list(zip(estimates, truth, strict=True))
         frames = [
-            score_frame(data, estimate, true, frame)
+            score_particle_frame(data, estimate, true, frame)
             for frame, (estimate, true) in zip(
                 self.frames(data), progress_bar(pairs, "score"), strict=True
             )
@@ -255,7 +255,9 @@ class ParticlesTask(Task):
         return with_bar(pictures.class_slice(parts, grid.scored), grid)
 
 
-def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame: int) -> Figures:
+def score_particle_frame(
+    data: Dataset, estimate: FoundParticles, truth: Particles, frame: int
+) -> Figures:
     """Score one frame's particles."""
     grid = data.setup.grid
     detected, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)

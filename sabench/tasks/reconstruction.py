@@ -30,9 +30,9 @@ from sabench.tasks.task import (
     Figures,
     FrameByFrame,
     Gate,
+    MatchingCurve,
     Score,
     Source,
-    Tolerance,
     check_estimate,
     check_number,
     correlation,
@@ -48,7 +48,7 @@ _TRIED = 33  # voxels along each axis that are projected into the images
 PARTICLE_IMAGES = (
     "First frame of every camera, one brightness scale for all; dim particles are raised."
 )
-_TOLERANCE = Tolerance("peak_f1", "peak F1", "voxel", MATCHING_DISTANCES)
+_TOLERANCE = MatchingCurve("peak_f1", "peak F1", "voxel", MATCHING_DISTANCES)
 _ALIKE = 0.95  # correlation of volumes from cameras in another order
 
 

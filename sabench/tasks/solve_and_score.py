@@ -23,7 +23,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, refuse_existing
 from sabench.utils.processes.call import call_isolated, preload
 from sabench.utils.processes.confinement import can_confine
-from sabench.utils.processes.program import Limits
+from sabench.utils.processes.program import ProgramLimits
 
 preload(
     "sabench.tasks.solve_and_score",
@@ -53,7 +53,7 @@ def solve(
     out: str | Path,
     *,
     parameters: dict[str, Any] | None = None,
-    limits: Limits | None = None,
+    limits: ProgramLimits | None = None,
     threads: int | None = None,
     iterations: bool = False,
     overwrite: bool = False,

@@ -103,7 +103,7 @@ COSTS = (
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class MatchingCurve:
     """Curve of a score over the matching distance of detections.
 
     Attributes
@@ -176,7 +176,7 @@ class Task(ABC):
     estimate: ClassVar[type[Estimate]]
     scores: ClassVar[tuple[Score, ...]]
     gate: ClassVar[Gate | None] = None
-    tolerance: ClassVar[Tolerance | None] = None
+    tolerance: ClassVar[MatchingCurve | None] = None
     sufficient: ClassVar[float]
     captions: ClassVar[Captions]
     picture_has_truth: ClassVar[bool] = False

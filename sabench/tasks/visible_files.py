@@ -21,7 +21,7 @@ from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.utils.errors import InputError
 from sabench.utils.kernel_folder import kernel_folder
-from sabench.utils.processes.confinement import View, can_confine
+from sabench.utils.processes.confinement import VisiblePaths, can_confine
 
 _PACKAGE = Path(plugins.__file__).resolve().parent
 _UNFINISHED = re.compile(r"[^\s']*\.result\.h5\.partial-\d+")  # what a killed writer leaves
@@ -100,7 +100,7 @@ def _parent(data: Dataset) -> Path | None:
     return parent if other and os.access(parent, os.W_OK) else None
 
 
-def view_of_plugin(sandbox: Sandbox, data: Dataset, solver: str) -> View | None:
+def view_of_plugin(sandbox: Sandbox, data: Dataset, solver: str) -> VisiblePaths | None:
     """List the files that a Python plug-in sees; None where it cannot be confined."""
     if not sandbox.confined:
         return None
@@ -114,23 +114,23 @@ def view_of_plugin(sandbox: Sandbox, data: Dataset, solver: str) -> View | None:
     )
 
 
-def view_of_import(solver: str) -> View:
+def view_of_import(solver: str) -> VisiblePaths:
     """List the files that the import of a Python plug-in needs.
 
     sabench's own solvers may write compiled kernels; what another solver writes there is discarded,
     so that it cannot change later runs.
     """
     python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
-    folders = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
+    folders = [folder for kind in plugins.PLUGIN_FOLDERS for folder in plugins.folders(kind)]
     # list the folders of compiled kernels, of numba and Dr.Jit
     kernels = [_PACKAGE, *folders, *_import_paths(), *[kernel_folder(), Path.home() / ".drjit"]]
-    view = View(readable=_words(python), hidden=_words(_find_secret([*python, *kernels])))
+    view = VisiblePaths(readable=_words(python), hidden=_words(_find_secret([*python, *kernels])))
     if plugins.is_bundled("solvers", solver):
         return replace(view, writable=_words(kernels), home=str(Path.home()))
     return replace(view, changeable=_words(kernels))
 
 
-def view_of_program(sandbox: Sandbox, data: Dataset, program: Path) -> View | None:
+def view_of_program(sandbox: Sandbox, data: Dataset, program: Path) -> VisiblePaths | None:
     """List the files that a program sees; None where it cannot be confined.
 
     They are those of its folder, of SABENCH_VISIBLE (separated as in PATH) and of the commands on
@@ -143,7 +143,7 @@ def view_of_program(sandbox: Sandbox, data: Dataset, program: Path) -> View | No
     python = [Path(sys.prefix), Path(sys.base_prefix)]
     folders = [program.parent, *_listed("SABENCH_VISIBLE")]
     shown = [*folders, *python, *commands, *beside]
-    return View(
+    return VisiblePaths(
         readable=_words([*shown, sandbox.observation]),
         writable=_words([sandbox.scratch]),
         hidden=_words([*_find_data_sets(folders, data), *_find_secret(shown)]),

@@ -187,7 +187,7 @@ def drjit() -> tuple[Any, Any]:
     return dr, importlib.import_module(f"drjit.{backend.kind}")
 
 
-def limit(threads: int) -> None:
+def limit_threads(threads: int) -> None:
     """Set the number of threads that Dr.Jit uses in this process."""
     drjit()[0].set_thread_count(threads)
 

@@ -30,7 +30,7 @@ class Class:
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceFile:
     """A parsed file.
 
     Attributes
@@ -44,7 +44,7 @@ class Source:
     imported: dict[str, tuple[int, str, str]]
 
 
-def parse(file: Path) -> Source:
+def parse_file(file: Path) -> SourceFile:
     """Read the classes and imports at the top level of a file.
 
     Raises
@@ -73,7 +73,7 @@ def parse(file: Path) -> Source:
             for alias in statement.names:
                 origin = (statement.lineno, statement.module, alias.name)
                 imported[alias.asname or alias.name] = origin
-    return Source(file, classes, imported)
+    return SourceFile(file, classes, imported)
 
 
 def _constants(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
@@ -85,7 +85,7 @@ def _constants(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
             yield from ((item.id, value.value) for item in targets if isinstance(item, ast.Name))
 
 
-def find_class(source: Source, name: str) -> Class | None:
+def find_class(source: SourceFile, name: str) -> Class | None:
     """Find the class with this string as its attribute `name`.
 
     Returns None unless there is exactly one.
@@ -94,7 +94,7 @@ def find_class(source: Source, name: str) -> Class | None:
     return matches[0] if len(matches) == 1 else None
 
 
-def constant(source: Source, of: Class, attribute: str) -> str | None:
+def constant(source: SourceFile, of: Class, attribute: str) -> str | None:
     """Read a string attribute of a class or, if inherited, of its bases.
 
     Returns None if the source is unclear.
@@ -109,7 +109,7 @@ def constant(source: Source, of: Class, attribute: str) -> str | None:
     return None
 
 
-def _definition(source: Source, name: str) -> tuple[Source, Class] | None:
+def _definition(source: SourceFile, name: str) -> tuple[SourceFile, Class] | None:
     """Find the statement of a class in this file or, by imports, in other files.
 
     Only imports from sabench are followed.
@@ -122,8 +122,8 @@ def _definition(source: Source, name: str) -> tuple[Source, Class] | None:
 
 
 @functools.cache
-def _parse_once(file: Path) -> Source:
-    return parse(file)
+def _parse_once(file: Path) -> SourceFile:
+    return parse_file(file)
 
 
 @functools.cache
@@ -137,7 +137,7 @@ def _file_of(module: str) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def import_fault(source: Source) -> str:
+def import_fault(source: SourceFile) -> str:
     """Find the first import of a file that must fail; empty if there is none.
 
     Modules of sabench and the names imported from them are looked up in their sources, of other

@@ -23,7 +23,7 @@ _NUMBER = re.compile(r"^[-+]?(?:\d|[.,]\d|nan$|inf)", re.IGNORECASE)  # begins a
 
 
 @dataclass(frozen=True)
-class Array:
+class UnitArray:
     """Array with the unit that its file names."""
 
     values: F64
@@ -31,7 +31,7 @@ class Array:
 
 
 @dataclass(frozen=True)
-class Table:
+class NumberTable:
     """Numbers of a text file.
 
     Attributes
@@ -44,11 +44,13 @@ class Table:
     units: tuple[str, ...]
     values: F64
 
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> dict[str, UnitArray]:
         """Return the columns by their names, or by their numbers from 1 without a header."""
         names = self.names or tuple(str(i + 1) for i in range(self.values.shape[1]))
         units = self.units or ("",) * len(names)
-        return {name: Array(self.values[:, i], units[i] or None) for i, name in enumerate(names)}
+        return {
+            name: UnitArray(self.values[:, i], units[i] or None) for i, name in enumerate(names)
+        }
 
 
 def read_text(path: Path) -> str:
@@ -101,7 +103,9 @@ def split_numbers(line: str, where: str, count: int | None = None) -> list[float
     return numbers
 
 
-def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int = 0) -> Table:
+def read_table(
+    path: Path, least: int, *, missing: bool = False, skip_lines: int = 0
+) -> NumberTable:
     """Read a table of numbers below an optional line of names.
 
     Lines that begin with # or % are comments; the last of them before the numbers is the header if
@@ -135,10 +139,10 @@ def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int
     values = _read_fast(body, mark, numeric, columns) if body else np.zeros((0, columns))
     if values is None or not (missing or np.isfinite(values).all()):
         values = _read_slowly(path, body, mark, numeric, columns, missing=missing)
-    return Table(tuple(name for name, _ in names), tuple(unit for _, unit in names), values)
+    return NumberTable(tuple(name for name, _ in names), tuple(unit for _, unit in names), values)
 
 
-def read_records(
+def read_named_rows(
     path: Path, needed: Sequence[str], possible: Sequence[str], aliases: Mapping[str, str]
 ) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield the lines below a header as words by name, with their places.

@@ -11,18 +11,18 @@ import numpy as np
 
 from sabench.utils.compiled import numba
 
-Result = TypeVar("Result")
+_Result = TypeVar("Result")
 
 
-def for_each(work: Callable[[int], Result], count: int) -> list[Result]:
+def for_each(work: Callable[[int], _Result], count: int) -> list[_Result]:
     """Work on the numbers below a count; returns the results in their order."""
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         return list(pool.map(work, range(count)))
 
 
 def share_rows(
-    work: Callable[[slice], Result], count: int, parts: int | None = None
-) -> list[Result]:
+    work: Callable[[slice], _Result], count: int, parts: int | None = None
+) -> list[_Result]:
     """Work on slices of a number of rows; returns the results in their order.
 
     There are as many as cores. Where results are added up, a given number of parts makes the sum

@@ -77,7 +77,7 @@ def sentences(model: type[BaseModel], error: ValidationError, prefix: str = "") 
     for fault in error.errors(include_url=False):
         path = _key_path(model, fault["loc"])
         unknown = fault["type"] == "extra_forbidden"
-        near = nearest(path[-1], _keys_at(model, path)) if unknown else None
+        near = nearest_word(path[-1], _keys_at(model, path)) if unknown else None
         if near:
             misspelt.add((*path[:-1], near))
         faults += [(path + key, kind, text) for key, kind, text in _texts(model, fault, path, near)]
@@ -118,7 +118,7 @@ def _texts(
         yield [], kind, f"{text}, got {printable(repr(fault['input']))}"
 
 
-def nearest(word: str, words: Iterable[str]) -> str | None:
+def nearest_word(word: str, words: Iterable[str]) -> str | None:
     """Find the known word that a misspelt one most likely stands for."""
     near = difflib.get_close_matches(word, list(words), 1, 0.4)
     return near[0] if near else None

@@ -14,7 +14,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 
 
-def place(scene: Scene, seed: int) -> Placed:
+def pose_target(scene: Scene, seed: int) -> Placed:
     """Put a scene's target at its position in every frame.
 
     Raises

@@ -222,7 +222,7 @@ def _inside(domain: Domain, points_mm: F64) -> Bool:
     return in_box(points_mm, low, low + np.asarray(domain.size_mm))
 
 
-def lattice(
+def sample_lattice(
     scene: Scene, frame: int, step_mm: tuple[float, float, float], seed: int = 0
 ) -> tuple[Velocity, F64]:
     """Sample a frame's exact velocities and gradients on a centred lattice.

@@ -14,7 +14,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.utils.arrays import F64
-from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
+from sabench.worlds.calibration_targets import exact_pixels, found_pixels, pose_target, prior
 
 
 def calibration_scene(**changes: Any) -> Scene:
@@ -33,7 +33,7 @@ def calibration_scene(**changes: Any) -> Scene:
 def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera, ...], F64, F64]:
     """Return a scene's calibration case and its truth. The truth: the cameras, the points (frame,
     point, 3) in mm, and their exact image points (camera, frame, point, 2) in px."""
-    cameras, placed = build_rig(scene).cameras, place(scene, seed)
+    cameras, placed = build_rig(scene).cameras, pose_target(scene, seed)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in cameras])
     pixels = np.stack(
         [found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)]

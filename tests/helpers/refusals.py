@@ -1,9 +1,10 @@
 """Errors and their sentences: tests name the kind and the key, a snapshot holds the sentences.
 
 tests/sentences.json lists for each test the sentences of its errors, with `#` for numbers and `~`
-for folders. `pytest --update-sentences -n 0 TESTS` writes them anew.
+for folders. `pytest --update-sentences TESTS` writes them anew.
 """
 
+import fcntl
 import json
 import os
 import re
@@ -49,9 +50,18 @@ def check_sentence(text: str, *keys: str) -> None:
     _reached[test] = number + 1
     stored = _sentences.get(test, [])
     if update:
-        _sentences[test] = [*stored[:number], sentence]
-        ordered = json.dumps(_sentences, indent=0, sort_keys=True, ensure_ascii=False)
-        SNAPSHOT.write_text(ordered + "\n", encoding="utf-8")
+        _store(test, number, sentence)
     else:
         expected = stored[number] if number < len(stored) else None
-        assert sentence == expected, "changed on purpose? pytest --update-sentences -n 0"
+        assert sentence == expected, "changed on purpose? pytest --update-sentences"
+
+
+def _store(test: str, number: int, sentence: str) -> None:
+    """Store a sentence; tests that run side by side wait for each other."""
+    with SNAPSHOT.open("a+", encoding="utf-8") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.seek(0)
+        stored = json.loads(file.read() or "{}")
+        stored[test] = [*stored.get(test, [])[:number], sentence]
+        file.truncate(0)
+        file.write(json.dumps(stored, indent=0, sort_keys=True, ensure_ascii=False) + "\n")

@@ -14,14 +14,14 @@ from pydantic import TypeAdapter
 
 import sabench
 from sabench.api import CalibrationCase
-from sabench.dataset.cameras import write_cameras
+from sabench.dataset.cameras import write_cameras_file
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Wall
 from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.targets_traced import render
 from sabench.utils.arrays import F64
-from sabench.worlds.calibration_targets import place
+from sabench.worlds.calibration_targets import pose_target
 from tests.conftest import Command
 from tests.helpers.calibration_cases import (
     calibration_scene,
@@ -140,7 +140,7 @@ def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
     lamps = Lighting.model_validate(
         {"lamps": [{"center_mm": [-300.0, -100.0, -400.0]}, {"center_mm": [300.0, 100.0, -400.0]}]}
     )
-    cameras, placed = build_rig(scene).cameras, place(scene, 1)
+    cameras, placed = build_rig(scene).cameras, pose_target(scene, 1)
     describe(scene, tmp_path / "mine", cameras)
     for frame, pose in enumerate(placed.poses):
         folder = tmp_path / "mine" / "images" / f"frame_{frame}"
@@ -435,7 +435,7 @@ def test_a_folder_with_known_cameras_finds_its_wall(command: Command, tmp_path: 
     wall = {"point_mm": [0.0, 0.0, -4.0], "fluid_index": 1.333}
     wall |= {"layers": [{"index": 1.5, "thickness_mm": 8.0}]}
     write(folder, with_places(case, places), np.eye(3), **changes, wall=wall)
-    write_cameras(folder / "air.json", cameras)
+    write_cameras_file(folder / "air.json", cameras)
     done = succeed(command("calibrate", "mine"))
     assert "tilt of the wall about X" in done.stdout
     report = json.loads((folder / "result/report.json").read_text())

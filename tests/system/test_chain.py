@@ -14,7 +14,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import result_writer
 from sabench.dataset.schema import image_name
 from sabench.dataset.verification import verify
-from sabench.metrics.reconstruction_error import SCORES
+from sabench.metrics.reconstruction_error import SCORE_KEYS
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import simulate, simulate_sequence
 from sabench.utils.files import sha256
@@ -120,7 +120,7 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
     scores = json.loads(command("score", quick.root, "r.h5", "--json").stdout)
     about = "dataset task solver parameters seconds peak_mb compile_s isolated whole_process"
     curve = (point.key for point in tasks.of("reconstruction").curve)
-    assert set(scores) == {*about.split(), *SCORES, *curve}
+    assert set(scores) == {*about.split(), *SCORE_KEYS, *curve}
     assert scores["dataset"] == quick.content_hash
     assert scores["parameters"]["k"] == 2.5
     assert scores["seconds"] > 0

@@ -14,7 +14,7 @@ import pytest
 
 import sabench
 from sabench.apps.challenge.board import make_challenge
-from sabench.apps.challenge.scoring import COSTS, score_submission
+from sabench.apps.challenge.scoring import PARTICIPANT_COSTS, score_submission
 from sabench.evaluation.records import read_records
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json
@@ -116,10 +116,15 @@ def test_a_server_scores_exactly(organised: Path, submission: Path, tmp_path: Pa
     own = {name: sabench.score(place / "ref" / name, place / "res" / f"{name}.h5") for name in each}
     for name, scores in each.items():
         assert scores == {key: one for key, one in own[name].items() if key in scores}
-        assert set(own[name]) - set(scores) <= {*COSTS, "compile_s", "isolated", "whole_process"}
+        assert set(own[name]) - set(scores) <= {
+            *PARTICIPANT_COSTS,
+            "compile_s",
+            "isolated",
+            "whole_process",
+        }
     assert found["admitted"] == 1.0
     assert found["q"] == float(np.mean([one["q"] for one in own.values()]))
-    assert not set(found) & set(COSTS)
+    assert not set(found) & set(PARTICIPANT_COSTS)
     assert {"q", "precision", "recall"} <= set(found)
 
 

@@ -25,7 +25,7 @@ from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks import conformance, know_nothing
-from sabench.tasks.conformance import LAWS, Finding, check_solver, example
+from sabench.tasks.conformance import LAWS, LawResult, check_solver, example
 from sabench.tasks.solve_and_score import score
 from tests.conftest import Command
 from tests.helpers.commands import refuse
@@ -60,7 +60,7 @@ def test_a_bundled_solver_obeys_the_laws(name: str, examples: Path) -> None:
 def test_every_bundled_solver_describes_itself(name: str, examples: Path) -> None:
     laws = (conformance.describe_itself,)
     found = list(check_solver(name, folder=examples, laws=laws))
-    assert found == [Finding("describe itself", "obeyed")]
+    assert found == [LawResult("describe itself", "obeyed")]
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from sabench.evaluation.solver_card import read_card
 from sabench.scenes import load_scene, parse_scene
 from sabench.tasks.external_programs import run_program
 from sabench.utils.errors import InputError, UncheckedError
-from sabench.utils.processes.program import Limits
+from sabench.utils.processes.program import ProgramLimits
 from tests.conftest import ROOT, Command
 from tests.helpers.commands import refuse, succeed
 from tests.helpers.refusals import check_sentence, refused
@@ -99,7 +99,7 @@ def test_no_result_leaves_nothing(quick: Dataset, tmp_path: Path, what: str) -> 
     with (
         pytest.raises(InputError) if unsteady else refused("bad" if what == "exit code" else "r.h5")
     ):
-        run_program(str(program), quick, tmp_path / "r.h5", limits=Limits(time_s=60.0))
+        run_program(str(program), quick, tmp_path / "r.h5", limits=ProgramLimits(time_s=60.0))
     assert list(tmp_path.iterdir()) == [program]
 
 

@@ -16,7 +16,7 @@ from filelock import FileLock
 import sabench
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation import pipeline
-from sabench.simulation.camera_view import render
+from sabench.simulation.camera_view import render_camera_view
 from sabench.simulation.pipeline import generate
 from sabench.simulation.recording import recorders, schedule
 from sabench.simulation.recording.parts import Job
@@ -52,9 +52,9 @@ def made(scene: Scene, folder: Path, **how: Any) -> str:
 
 @pytest.fixture
 def two_rendering_threads() -> Iterator[None]:
-    backend.limit(2)
+    backend.limit_threads(2)
     yield
-    backend.limit(1)
+    backend.limit_threads(1)
 
 
 @pytest.mark.slow
@@ -173,7 +173,7 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
 
     def counted(frame: Any, camera: int) -> Any:
         shots.append((frame.number, camera))
-        return render(frame, camera)
+        return render_camera_view(frame, camera)
 
     with monkeypatch.context() as patch:
         patch.setattr(pipeline, "record_task", interrupted)

@@ -20,7 +20,7 @@ from sabench.dataset.reader import open_dataset
 from sabench.dataset.results import estimate_hash
 from sabench.dataset.verification import verify
 from sabench.evaluation import runner
-from sabench.evaluation.record_schema import parse
+from sabench.evaluation.record_schema import parse_record
 from sabench.evaluation.runner import dataset_of
 from sabench.evaluation.suite_loading import Secret, load_suite, read_secret
 from sabench.evaluation.suites import Only
@@ -474,7 +474,7 @@ def test_records_with_unknown_truth_are_left_out(change: dict[str, Any], key: st
     record = dict.fromkeys(names, "tank") | {"seed": 0, "task": "particles", "parameters": {}}
     record |= {"versions": {}, "machine": {}, "version": 2, "recorded": True}
     record |= {"quality": {"frames": 1, "again": False, "figures": {"explained": 0.9}}}
-    assert parse(json.dumps(record).encode())["recorded"] is True
+    assert parse_record(json.dumps(record).encode())["recorded"] is True
     judged = record["quality"] | change.pop("quality", {})
     with refused(key, kind=ValueError):
-        parse(json.dumps(record | {"quality": judged} | change).encode())
+        parse_record(json.dumps(record | {"quality": judged} | change).encode())

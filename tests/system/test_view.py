@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.apps.viewer.contents import Contents, Frame, of_dataset, of_scene
-from sabench.apps.viewer.points import FOUND, MISSED, TRUE, Cloud
-from sabench.apps.viewer.view import render
+from sabench.apps.viewer.contents import Frame, PageContents, of_dataset, of_scene
+from sabench.apps.viewer.points import FOUND, MISSED, TRUE, ObjectCloud
+from sabench.apps.viewer.view import render_contents
 from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.scenes import load_scene
@@ -106,15 +106,15 @@ def browser(browser: Browser) -> Browser:
     return browser
 
 
-def moving(count: int = 40) -> Contents:
+def moving(count: int = 40) -> PageContents:
     contents = of_scene(load_scene("quick"), "made up")
     low, high = contents.surroundings.low_mm, contents.surroundings.high_mm
     start = np.random.default_rng(1).uniform(low + 1.0, high - 1.0, (count, 3))
     kind = np.repeat([TRUE, FOUND, MISSED], [count // 2, count // 4, count // 4]).astype(np.uint8)
-    nothing = Cloud.of_kind(np.zeros((0, 3)), TRUE)
+    nothing = ObjectCloud.of_kind(np.zeros((0, 3)), TRUE)
     about = (kind, np.arange(count), np.full((count, 3), 3.0))
     frames = tuple(
-        Frame(n, 0.1 * n, Cloud.of_kind(start + 0.3 * n, *about), nothing) for n in range(3)
+        Frame(n, 0.1 * n, ObjectCloud.of_kind(start + 0.3 * n, *about), nothing) for n in range(3)
     )
     labels = {"found": EVIL, "missed": "missed"}
     return replace(contents, title=EVIL, frames=frames, labels=labels)
@@ -123,14 +123,14 @@ def moving(count: int = 40) -> Contents:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("view") / "moving.html"
-    file.write_text(render(moving())[0], encoding="utf-8")
+    file.write_text(render_contents(moving())[0], encoding="utf-8")
     return file
 
 
 @pytest.fixture(scope="module")
 def pictured(tmp_path_factory: pytest.TempPathFactory, quick: Dataset) -> Path:
     file = tmp_path_factory.mktemp("view") / "quick.html"
-    file.write_text(render(of_dataset(quick))[0], encoding="utf-8")
+    file.write_text(render_contents(of_dataset(quick))[0], encoding="utf-8")
     return file
 
 
@@ -284,7 +284,7 @@ def test_without_scripts_there_are_drawings_and_tables(browser: Browser, picture
 @pytest.mark.slow
 def test_many_points_are_drawn_by_the_page_in_software(browser: Browser, tmp_path: Path) -> None:
     file = tmp_path / "many.html"
-    file.write_text(render(moving(6000))[0], encoding="utf-8")
+    file.write_text(render_contents(moving(6000))[0], encoding="utf-8")
     open_page(browser, file)
     if not browser.ask("sabenchView.space.software"):
         pytest.skip("WebGL has a graphics card here")

@@ -23,7 +23,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(("kind", "attribute"), [("solvers", "task"), ("generators", "makes")])
 def test_descriptions_equal_what_importing_would_give(kind: str, attribute: str) -> None:
     for name in plugins.names(kind):
-        entry, plugin = plugins.describe(kind, name), plugins.load(kind, name)
+        entry, plugin = plugins.summarise(kind, name), plugins.load(kind, name)
         assert entry.summary == plugins.summary(plugin)
         assert entry.group == getattr(plugin, attribute)
         assert entry.file == plugins.file_of(kind, name)
@@ -51,7 +51,7 @@ def test_a_class_whose_task_cannot_be_read_is_imported(
     (folder / "odd.py").write_text(text, encoding="utf-8")
     package = sys.modules["sabench.plugins.solvers"]
     monkeypatch.setattr(package, "__path__", [*map(str, plugins.folders("solvers"))])
-    entry = plugins.describe("solvers", "odd")
+    entry = plugins.summarise("solvers", "odd")
     assert (entry.group, entry.summary) == ("reconstruction", "Odd one.")
 
 

@@ -174,7 +174,7 @@ _ROBUST = 0.12  # transmission: pixels with larger errors count less
 
 
 @dataclass
-class Model:
+class RimModel:
     """Images (camera, row, column), and the log of all bubbles' transmission."""
 
     images: F32
@@ -183,13 +183,13 @@ class Model:
     profile: Profile
 
 
-def darken(model: Model, parameters: F64, sign: float) -> None:
+def darken(model: RimModel, parameters: F64, sign: float) -> None:
     """Put a bubble into the model (1) or take it out (-1)."""
     ellipses = ellipses_of(model, parameters)
     _darken(model.logs, ellipses, model.profile.table, model.profile.blur_px, np.float32(sign))
 
 
-def gain(model: Model, parameters: F64) -> F64:
+def gain(model: RimModel, parameters: F64) -> F64:
     """Compute the unexplained dark share (camera,) of a shadow, or NaN."""
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
@@ -197,7 +197,7 @@ def gain(model: Model, parameters: F64) -> F64:
     return out
 
 
-def fit(model: Model, parameters: F64, steps: int) -> F64:
+def fit_bubble(model: RimModel, parameters: F64, steps: int) -> F64:
     """Fit the parameters of a bubble that is not in the model now."""
     linear = linearise(model.cameras, parameters[:3])
     best, damping = parameters.copy(), 1e-2
@@ -224,17 +224,17 @@ def fit(model: Model, parameters: F64, steps: int) -> F64:
     return best
 
 
-def unexplained(model: Model, ellipses: F64) -> float:
+def unexplained(model: RimModel, ellipses: F64) -> float:
     """Compute the robust sum of squares of the residuals around images (camera, 5)."""
     return float(_robust_residual(model.images, model.logs, ellipses, model.profile.blur_px))
 
 
-def ellipses_of(model: Model, parameters: F64) -> F64:
+def ellipses_of(model: RimModel, parameters: F64) -> F64:
     """Compute a bubble's images (camera, 5), as from `images_of`."""
     return images_of(linearise(model.cameras, parameters[:3]), parameters)
 
 
-def misfit(model: Model, parameters: F64) -> float:
+def misfit(model: RimModel, parameters: F64) -> float:
     """Compute the mean square unexplained by a bubble over the pixels around it."""
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
@@ -244,7 +244,7 @@ def misfit(model: Model, parameters: F64) -> float:
 
 
 def _normal_equations(
-    model: Model, linear: tuple[F64, F64, F64], parameters: F64
+    model: RimModel, linear: tuple[F64, F64, F64], parameters: F64
 ) -> tuple[float, F64, F64]:
     """Compute the robust sum of squares and its normal equations."""
     ellipses = images_of(linear, np.vstack([parameters, parameters + np.diag(_STEPS)]))

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from sabench.algorithms.bubbles import rim_fit
 from sabench.algorithms.bubbles.backlit_images import Profile
 from sabench.algorithms.bubbles.ellipse_detection import Votes, peaks
-from sabench.algorithms.bubbles.rim_fit import Model, darken, fit
+from sabench.algorithms.bubbles.rim_fit import RimModel, darken, fit_bubble
 from sabench.api import Detections
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
@@ -109,7 +109,7 @@ def find_hypotheses(
         for number in range(len(cameras))
     ]
     center, radius, vote = map(np.concatenate, zip(*parts, strict=True))
-    return drop_duplicates(Hypotheses(center, radius, vote, np.full(len(vote), votes[0].aspect)))
+    return _drop_duplicates(Hypotheses(center, radius, vote, np.full(len(vote), votes[0].aspect)))
 
 
 def join_hypotheses(parts: Sequence[Hypotheses]) -> Hypotheses:
@@ -118,7 +118,7 @@ def join_hypotheses(parts: Sequence[Hypotheses]) -> Hypotheses:
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("center_mm", "radius_mm", "vote", "aspect")
     )
-    return drop_duplicates(Hypotheses(center, radius, vote, aspect))
+    return _drop_duplicates(Hypotheses(center, radius, vote, aspect))
 
 
 def _along_lines(
@@ -202,7 +202,7 @@ def _sample(
         )
 
 
-def drop_duplicates(hypotheses: Hypotheses) -> Hypotheses:
+def _drop_duplicates(hypotheses: Hypotheses) -> Hypotheses:
     """Keep the best of the hypotheses of each bubble.
 
     Hypotheses of one bubble are closer than half a radius across and two along, and have similar
@@ -270,7 +270,7 @@ def search_bubbles(
     """
     if half_angle is None:
         half_angle = _fit_diffuser(images, cameras, profile_of, start)
-    model = Model(images, np.zeros_like(images), cameras, profile_of(half_angle))
+    model = RimModel(images, np.zeros_like(images), cameras, profile_of(half_angle))
     bubbles = _unite(model, _accept(model, start, limits), start, limits)
     for _ in range(sweeps):
         bubbles = _refine(model, bubbles, limits)
@@ -291,14 +291,16 @@ def _fit_diffuser(
     chosen = likely[np.argsort(-start.radius_mm[likely], kind="stable")][:_LARGEST]
     costs = np.zeros((len(_ANGLES), len(chosen)))
     for row, angle in zip(costs, progress_bar(_ANGLES.tolist(), "find the diffuser"), strict=True):
-        model = Model(images, np.zeros_like(images), cameras, profile_of(angle))
-        row[:] = [rim_fit.misfit(model, fit(model, _start(start, n), _FIRST)) for n in chosen]
+        model = RimModel(images, np.zeros_like(images), cameras, profile_of(angle))
+        row[:] = [
+            rim_fit.misfit(model, fit_bubble(model, _start(start, n), _FIRST)) for n in chosen
+        ]
     clean = np.argsort(costs.min(axis=0), kind="stable")[:_CLEAN]  # nothing else is near these
     best = costs[:, clean].sum(axis=1).argmin() if len(chosen) else len(_ANGLES) // 2
     return float(_ANGLES[best])
 
 
-def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
+def _accept(model: RimModel, start: Hypotheses, limits: Limits) -> list[F64]:
     """Fit and judge hypotheses in the order of their gains."""
     order = np.argsort(-start.vote * start.radius_mm, kind="stable")
     accepted: list[F64] = []
@@ -308,14 +310,14 @@ def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
             first = _start(start, n)
             if _median_gain(model, first) < _WORTH * least:
                 continue
-            fitted = fit(model, first, _FIRST)
+            fitted = fit_bubble(model, first, _FIRST)
             if _is_bubble(model, fitted, limits._replace(least_gain=least)):
                 darken(model, fitted, 1.0)
                 accepted.append(fitted)
     return accepted
 
 
-def _unite(model: Model, bubbles: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
+def _unite(model: RimModel, bubbles: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
     """Replace small bubbles along a rim by one that explains images as well."""
     order = np.argsort(-start.radius_mm * start.aspect, kind="stable")
     for n in progress_bar(order[start.vote[order] >= _VOTED].tolist(), "unite bubbles"):
@@ -327,7 +329,7 @@ def _unite(model: Model, bubbles: list[F64], start: Hypotheses, limits: Limits) 
         most = rim_fit.unexplained(model, ellipses) * (1.0 + _SIMPLER * (len(parts) - 1))
         for part in parts:
             darken(model, bubbles[part], -1.0)
-        whole = fit(model, first, _FIRST)
+        whole = fit_bubble(model, first, _FIRST)
         if _is_bubble(model, whole, limits) and set(_parts(bubbles, whole)) >= set(parts):
             darken(model, whole, 1.0)
             if rim_fit.unexplained(model, ellipses) < most:
@@ -356,26 +358,26 @@ def _start(start: Hypotheses, n: int) -> F64:
     return rim_fit.start_of(start.center_mm[n], float(start.radius_mm[n]), float(start.aspect[n]))
 
 
-def _is_bubble(model: Model, fitted: F64, limits: Limits) -> bool:
+def _is_bubble(model: RimModel, fitted: F64, limits: Limits) -> bool:
     """Return whether a fit has a bubble's size, by volume, and explains enough."""
     radius = float(np.exp((2.0 * fitted[3] + fitted[4]) / 3.0))
     right_size = limits.smallest_mm <= radius <= limits.largest_mm
     return right_size and _median_gain(model, fitted) >= limits.least_gain
 
 
-def _median_gain(model: Model, parameters: F64) -> float:
+def _median_gain(model: RimModel, parameters: F64) -> float:
     """Compute the median gain over two or more views of a bubble, or -1."""
     gains = rim_fit.gain(model, parameters)
     gains = gains[np.isfinite(gains)]
     return float(np.median(gains)) if len(gains) >= 2 else -1.0
 
 
-def _refine(model: Model, bubbles: list[F64], limits: Limits) -> list[F64]:
+def _refine(model: RimModel, bubbles: list[F64], limits: Limits) -> list[F64]:
     """Fit all bubbles again and drop those that the others explain by now."""
     out = []
     for parameters in progress_bar(bubbles, "refine bubbles"):
         darken(model, parameters, -1.0)
-        better = fit(model, parameters, _MORE)
+        better = fit_bubble(model, parameters, _MORE)
         if _is_bubble(model, better, limits):
             darken(model, better, 1.0)
             out.append(better)

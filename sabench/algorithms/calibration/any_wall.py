@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from sabench.algorithms.calibration.kernels import BOARD, CAMERA
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.utils.arrays import F64
 
 # of a camera's unknowns as in `kernels.observe`: far above rounding, far below any curvature
@@ -20,20 +20,20 @@ Equations = tuple[float, F64, F64, F64, F64, F64]
 Seen = tuple[F64, F64]  # pixels (M, K, m, 2) and weights (M, K, m)
 
 
-def project(frame: Frame, state: State, board: F64) -> F64:
+def _project(frame: WallFrame, state: State, board: F64) -> F64:
     """Project all boards' points (m, 3) into all cameras: pixels (M, K, m, 2)."""
     points = frame.points(state, board)
     pixels = [camera.project(points.reshape(-1, 3))[0] for camera in frame.build_cameras(state)]
     return np.stack(pixels).reshape(len(pixels), *points.shape[:2], 2)
 
 
-def misses(frame: Frame, state: State, board: F64, views: Seen) -> F64:
+def misses(frame: WallFrame, state: State, board: F64, views: Seen) -> F64:
     """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
-    return np.asarray(views[0] - project(frame, state, board))
+    return np.asarray(views[0] - _project(frame, state, board))
 
 
 def equations(
-    frame: Frame, state: State, board: F64, views: Seen, free: FreeParameters, scale: float
+    frame: WallFrame, state: State, board: F64, views: Seen, free: FreeParameters, scale: float
 ) -> Equations:
     """Sum normal equations of all observations; see `normal_equations.equations`."""
     error, weights = misses(frame, state, board, views), views[1]
@@ -66,7 +66,7 @@ def equations(
 
 
 def spreads(
-    frame: Frame,
+    frame: WallFrame,
     state: State,
     board: F64,
     views: Seen,
@@ -87,7 +87,7 @@ def spreads(
     return np.where(views[1][..., None] > 0.0, out, math.nan)
 
 
-def _slopes(frame: Frame, state: State, board: F64, free: FreeParameters) -> F64:
+def _slopes(frame: WallFrame, state: State, board: F64, free: FreeParameters) -> F64:
     """Differentiate pixels (M, K, m, 2) by unknowns (f + BOARD)."""
     columns, none = [], np.zeros(0)
     camera_columns, _ = free.columns(len(state.indices))
@@ -98,7 +98,7 @@ def _slopes(frame: Frame, state: State, board: F64, free: FreeParameters) -> F64
             cameras[:, number] = step
         else:
             boards[:, number - len(camera_columns)] = step
-        ahead = project(frame, state.apply_steps(cameras, none, boards, free), board)
-        back = project(frame, state.apply_steps(-cameras, none, -boards, free), board)
+        ahead = _project(frame, state.apply_steps(cameras, none, boards, free), board)
+        back = _project(frame, state.apply_steps(-cameras, none, -boards, free), board)
         columns.append((ahead - back) / (2.0 * step))
     return np.stack(columns, axis=-1)

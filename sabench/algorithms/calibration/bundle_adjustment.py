@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from sabench.algorithms.calibration import any_wall, parameters
 from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.normal_equations import equations, misses
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.geometry.rigid_motion import RigidMotion, skew
 from sabench.utils.arrays import F64
 
@@ -72,8 +72,8 @@ class BoardImages:
     pixels: F64
     weights: F64
     anchors: tuple[Anchor, ...] = ()
-    frame: Frame | None = None
-    prior: Prior | None = None
+    frame: WallFrame | None = None
+    prior: SharedPrior | None = None
 
     @cached_property
     def anchored(self) -> tuple[Any, ...]:
@@ -106,7 +106,7 @@ class Anchor:
 
 
 @dataclass(frozen=True)
-class Prior:
+class SharedPrior:
     """Nominal values of what all cameras share, in the order of `State.shared`.
 
     Attributes

@@ -50,7 +50,7 @@ class Limit:
         return float(np.sqrt(self.unknowns / max(self.equations - self.unknowns, 1)))
 
 
-def limit(state: State, views: BoardImages, free: FreeParameters, noise_px: float) -> Limit:
+def compute_bound(state: State, views: BoardImages, free: FreeParameters, noise_px: float) -> Limit:
     """Compute the bound at the true state for pixel coordinates with normal noise."""
     information = _whole(state, views, free)
     covariance, rank, shown = _inverse(information)

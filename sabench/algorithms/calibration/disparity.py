@@ -57,7 +57,7 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
     positions, errors = np.empty((_SETS, 3)), np.empty((_SETS, len(peaks), 2))
     hits = np.empty((_SETS, len(peaks)), dtype=np.int32)
     order = np.random.default_rng(0).permutation(len(peaks[0].pixels))
-    count = match(maps, peaks, order, reach_px, along, steps, positions, hits, errors)
+    count = match_peaks(maps, peaks, order, reach_px, along, steps, positions, hits, errors)
     return Sets(positions[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
 
 
@@ -177,7 +177,7 @@ def _compute_step(gains: Any, misses: Any, cameras: int, step: Any) -> None:
 
 
 @numba.njit(cache=True)
-def match(
+def match_peaks(
     maps: Any,
     peaks: Any,
     order: Any,

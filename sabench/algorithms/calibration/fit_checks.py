@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages
-from sabench.algorithms.calibration.parameters import Frame, State
+from sabench.algorithms.calibration.parameters import State, WallFrame
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
@@ -19,7 +19,7 @@ _LEAST_INDEX = 0.99  # of any medium
 _MIRROR = np.diag([1.0, 1.0, -1.0])
 
 
-def list_faults(state: State, views: BoardImages, frame: Frame) -> list[str]:
+def list_faults(state: State, views: BoardImages, frame: WallFrame) -> list[str]:
     """List the faults of a state in sentences that name the camera or frame.
 
     Numbers must be finite, principal distances, thicknesses and indices positive, cameras in front
@@ -39,7 +39,7 @@ def list_faults(state: State, views: BoardImages, frame: Frame) -> list[str]:
     return faults if frame.wall is None else faults + _wall_faults(state, views, names, frame.wall)
 
 
-def check_end(state: State, views: BoardImages, frame: Frame) -> None:
+def check_state(state: State, views: BoardImages, frame: WallFrame) -> None:
     """Refuse an impossible state.
 
     Raises

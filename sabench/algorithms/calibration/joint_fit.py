@@ -19,7 +19,7 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     BoardImages,
     Fit,
     Moving,
-    Prior,
+    SharedPrior,
     refine,
     residuals,
 )
@@ -117,7 +117,7 @@ _LEAST_NOISE_PX = 1e-3  # least noise for the weights of known positions
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
 _SAME_NOISE = 0.1  # relative change of the noise below which weights stay
 THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
-INDEX = 0.05  # of a nominal index
+INDEX_SIGMA = 0.05  # of a nominal index
 _WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
 _BEND_MM = 1.0  # of a board that is nominally flat
 _RICH = ("k1", "k2", "p1", "p2")  # tried, with tilts and bend, where unknowns lack
@@ -167,13 +167,13 @@ def _weigh(problem: CalibrationProblem, robust: Robust, free: FreeParameters) ->
     return robust
 
 
-def make_prior(nominal: State, noise_px: float) -> Prior:
+def make_prior(nominal: State, noise_px: float) -> SharedPrior:
     """Weigh nominal thicknesses, indices, wall and flat boards against the noise."""
     thick = THICKNESS * np.maximum(nominal.thicknesses, 1e-3)
-    index = np.full(len(nominal.indices), INDEX)
+    index = np.full(len(nominal.indices), INDEX_SIGMA)
     bend = np.full(BEND, _BEND_MM)
     sigma = np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM], bend])
-    return Prior(nominal.shared, (noise_px / sigma) ** 2)
+    return SharedPrior(nominal.shared, (noise_px / sigma) ** 2)
 
 
 def _fit_soundly(problem: CalibrationProblem, views: BoardImages, free: FreeParameters) -> Robust:

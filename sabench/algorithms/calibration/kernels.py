@@ -23,7 +23,7 @@ _MOST_ITERATIONS = 60
 
 
 @numba.njit(cache=True)
-def bend(indices: Any, depths: Any, radius: float) -> float:
+def _bend(indices: Any, depths: Any, radius: float) -> float:
     """Solve for the tangent of a path's angle in its rarest medium.
 
     Newton's iteration starts from the paraxial path. Negative depths are traversed backwards.
@@ -48,14 +48,14 @@ def bend(indices: Any, depths: Any, radius: float) -> float:
 
 
 @numba.njit(cache=True)
-def leave(
+def _leave(
     indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
 ) -> tuple[float, float]:
     """Compute G = tan(angle in the first medium) / r and (dG/dr) / r at the radius r.
 
     Fills in dG by depths and by indices. At r = 0 derivatives are those of the paraxial path.
     """
-    slope = bend(indices, depths, radius)
+    slope = _bend(indices, depths, radius)
     rarest = indices.min()
     gain = 0.0  # d radius / d p
     stretch = 0.0  # sum of depth / sqrt(n^2 - p^2) = radius / p
@@ -128,7 +128,7 @@ def observe(
     if depths[0] <= 0.0 or paraxial * indices[0] <= 0.1 * depths[0]:
         return 0.0, 0.0, False
     radius = math.sqrt(x * x + y * y)
-    tangent, curved = leave(indices, depths, radius, by_depth, by_index)
+    tangent, curved = _leave(indices, depths, radius, by_depth, by_index)
     a, b = tangent * x, tangent * y
     u = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]
     v = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]

@@ -226,7 +226,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Frame:
+class WallFrame:
     """World's position in the wall's frame, and the constants that a state lacks.
 
     `wall` is the plane wall of all cameras; None in plain air, or without a common wall.
@@ -237,12 +237,12 @@ class Frame:
     wall: Wall | None
 
     @property
-    def beyond_kernels(self) -> Frame | None:
+    def beyond_kernels(self) -> WallFrame | None:
         """The frame itself where the kernels of one plane wall do not hold, else None."""
         return None if has_plane_wall(self.cameras) else self
 
     @classmethod
-    def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
+    def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> WallFrame:
         """Make the frame with the outer face of the cameras' wall at Z = 0.
 
         The normal is +Z. Without a common plane wall a plane without meaning, between the cameras
@@ -261,7 +261,7 @@ class Frame:
             RigidMotion(frame_of_normal(normal), np.array([0.0, 0.0, -middle])), cameras, None
         )
 
-    def select(self, cameras: I64) -> Frame:
+    def select(self, cameras: I64) -> WallFrame:
         """Select some of the cameras."""
         return replace(self, cameras=tuple(self.cameras[number] for number in cameras.tolist()))
 

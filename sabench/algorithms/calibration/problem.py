@@ -13,11 +13,11 @@ from typing import get_args
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, residuals
-from sabench.algorithms.calibration.fit_checks import check_end
+from sabench.algorithms.calibration.fit_checks import check_state
 from sabench.algorithms.calibration.parameters import (
-    Frame,
     FreeParameters,
     State,
+    WallFrame,
     check_plane_wall,
     common_plane,
 )
@@ -100,7 +100,7 @@ def _equal_images(images: F64) -> Iterator[tuple[int, int]]:
 def check_fit(
     case: CalibrationCase,
     state: State,
-    frame: Frame,
+    frame: WallFrame,
     seen: BoardImages,
     used: Bool,
     noise_px: float,
@@ -124,7 +124,7 @@ def check_fit(
             f"expected points that one array can see, got some that miss by {noise_px:.3g} px at "
             "best: are they the target's, in its order?"
         )
-    check_end(state, seen, frame)
+    check_state(state, seen, frame)
     _check_views(case, state, seen, used, noise_px)
     points = state.points(seen.board)
     _check_corners(case, points, frame.motion(case.initial_mm), visible)
@@ -238,7 +238,7 @@ def _rms(errors: F64) -> float:
 _SAME = 1e-6  # part of a unit vector along a wall's normal below which a shift is along the wall
 
 
-def fit_free_motion(frame: Frame, points: F64, targets: F64) -> RigidMotion:
+def fit_free_motion(frame: WallFrame, points: F64, targets: F64) -> RigidMotion:
     """Fit the motion of points (n, 3) to targets, in a frame, that no image shows.
 
     A cylinder allows a rotation about its axis and a shift along it, several plane walls a shift
@@ -275,7 +275,7 @@ class CalibrationProblem:
     case : the case itself.
     """
 
-    frame: Frame
+    frame: WallFrame
     start: State
     seen: BoardImages
     case: CalibrationCase
@@ -298,7 +298,7 @@ class CalibrationProblem:
                 raise InputError(
                     f"frame {number}: expected a nominal position of its target, got none"
                 )
-        frame, board = Frame.from_cameras(case.cameras, case.initial_mm), case.target.points_mm
+        frame, board = WallFrame.from_cameras(case.cameras, case.initial_mm), case.target.points_mm
         if not free.cameras:
             _check_known_cameras(case)
         if free != free.of_lenses:
@@ -339,13 +339,13 @@ class CalibrationProblem:
         InputError
             An impossible state: see `fit_checks.list_faults`.
         """
-        check_end(state, self.seen, self.frame)
+        check_state(state, self.seen, self.frame)
         return Calibration(
             self.frame.build_cameras(state), self.frame.points(state, self.seen.board), used
         )
 
 
-def make_anchors(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[Anchor, ...]:
+def make_anchors(case: CalibrationCase, frame: WallFrame, noise_px: float) -> tuple[Anchor, ...]:
     """Make observations of the known coordinates, weighed against pixels' noise."""
     world, anchors = frame.motion.inverse(), []
     for board, point in np.argwhere(np.isfinite(case.known_mm).any(axis=-1)).tolist():
@@ -374,7 +374,7 @@ def lens_unknowns(case: CalibrationCase) -> FreeParameters:
     return free
 
 
-def _check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> None:
+def _check_shared(case: CalibrationCase, frame: WallFrame, free: FreeParameters) -> None:
     """Refuse unknowns of walls or layers that do not exist, or that nothing shows."""
     layers = len(frame.wall.layers) if frame.wall else 0
     media = layers + 2 if frame.wall else 0

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine, residuals
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State, common_plane
+from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame, common_plane
 from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.polynomial_cameras import fit_planes as fit_planes, fit_soloff as fit_soloff
@@ -52,7 +52,7 @@ def place_boards(case: CalibrationCase) -> F64:
     places = known_places(case)
     if len(board) == 1:
         return places
-    frame = Frame.from_cameras(case.cameras, case.initial_mm)
+    frame = WallFrame.from_cameras(case.cameras, case.initial_mm)
     pixels, weights = np.nan_to_num(case.pixels), case.found.astype(np.float64)
     views = BoardImages(board, pixels, weights, frame=frame.beyond_kernels)
     start = frame.state(board, case.initial_mm)

@@ -12,7 +12,7 @@ import numpy as np
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, refine, residuals
 from sabench.algorithms.calibration.disparity import Sets, correct, find_sets, pair_up
 from sabench.algorithms.calibration.joint_fit import median_noise
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.algorithms.particles.candidate_search import rig_axes, turn_maps
 from sabench.algorithms.particles.matching import detect_in_cameras
 from sabench.api import Observation
@@ -229,7 +229,7 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
     nominal = np.stack([camera.project(lattice)[0] for camera in tracking.cameras])
     both = np.concatenate([pixels, nominal], axis=1)
     weights = np.isfinite(both).all(axis=2).astype(np.float64)
-    frame = Frame.from_cameras(tracking.cameras, points[:, None])
+    frame = WallFrame.from_cameras(tracking.cameras, points[:, None])
     board, world = np.zeros((1, 3)), frame.motion.inverse()
     anchors = tuple(
         Anchor(number, 0, position, np.full(3, 1e6), world)

@@ -17,7 +17,7 @@ _LIT = 0.35  # of the brightest ball: least light of a ball's pixel
 _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for the detectors
 
 
-def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
+def detect_target(image: U16, target: Target, expected: F64 | None = None) -> F64:
     """Detect the pixels (point, 2) of a target's points as (column, row).
 
     NaN where one was not found.

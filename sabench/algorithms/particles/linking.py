@@ -27,7 +27,7 @@ from sabench.utils.arrays import F64, I64, Bool
 # times
 GATE = 20.0
 # farthest displacement of a trajectory of unknown velocity, in distances between neighbours
-REACH = 3.0
+NEIGHBOUR_REACH = 3.0
 # largest difference of related neighbours' displacements, in the same unit
 _ALIKE = 0.4
 _NEIGHBOURS = 8
@@ -203,7 +203,7 @@ def _by_neighbours(
     term for its length.
     """
     young = np.flatnonzero(live.young)
-    radii = REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
+    radii = NEIGHBOUR_REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
     row, column = _near(live.position[young], points.position, radii)
     size = _unlike(live, points, young[row], column, scale)
     row, column, size = row[size < GATE], column[size < GATE], size[size < GATE]

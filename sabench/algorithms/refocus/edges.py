@@ -55,7 +55,7 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
     planes = max(1, round(reach_mm / grid.voxel_mm[2]))
     height = np.empty_like(stack)
     for part in np.array_split(np.arange(len(stack)), _PARTS):
-        along_x, along_y = gradient(stack[part])
+        along_x, along_y = plane_gradient(stack[part])
         height[part] = np.hypot(along_x, along_y)
     highest = maximum_filter1d(height, 2 * planes + 1, axis=0, mode="nearest")
     z, y, x = np.nonzero((height >= least) & (height == highest))
@@ -72,7 +72,7 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
     return Edges(position, normal, np.asarray(height[z, y, x], dtype=np.float64))
 
 
-def gradient(planes: F32) -> tuple[F32, F32]:
+def plane_gradient(planes: F32) -> tuple[F32, F32]:
     """Differentiate planes (z, y, x) along x and y; a sharp edge of height 1 gives 1."""
     at = np.arange(-_REACH, _REACH + 1) / _WIDTH
     bell = np.exp(-0.5 * at**2)
@@ -92,7 +92,7 @@ def _directions(stack: F32, z: I64, y: I64, x: I64) -> F64:
         inside = np.flatnonzero(np.isin(z, part))
         if len(inside):
             index = z[inside] - part[0], y[inside], x[inside]
-            out[inside] = np.column_stack([slope[index] for slope in gradient(stack[part])])
+            out[inside] = np.column_stack([slope[index] for slope in plane_gradient(stack[part])])
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))
 
 

@@ -126,7 +126,10 @@ def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, planes: in
     functions = [_displacement(camera, grid, nodes, z_mm) for camera in cameras]
     degree = max(polynomials.lowest_degree(function) for function in functions)
     at_nodes = np.stack(
-        [polynomials.fit(function, degree)[0].reshape(len(nodes), 2, -1) for function in functions]
+        [
+            polynomials.fit_polynomials(function, degree)[0].reshape(len(nodes), 2, -1)
+            for function in functions
+        ]
     )
     displacement = np.einsum("pn,cnik->cpik", interpolation, at_nodes)
     corners, shape = _boxes(cameras, grid, z_mm, displacement, degree)
@@ -175,7 +178,9 @@ def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> t
         box = Grid(corner, grid.voxel_mm, (1, height, width))
         functions.append(partial(_pixels, camera, box, slab.z_mm))
     degree = max(polynomials.lowest_degree(function) for function in functions)
-    return np.stack([polynomials.fit(function, degree)[0] for function in functions]), degree
+    return np.stack(
+        [polynomials.fit_polynomials(function, degree)[0] for function in functions]
+    ), degree
 
 
 def _pixels(camera: CameraModel, box: Grid, z_mm: float, unit: F64) -> F64:

@@ -28,12 +28,12 @@ _GPU_PLANES = 1 << 24  # voxels computed simultaneously: bounds the device's mem
 Fold = Callable[[Any, Sequence[Any]], Any]
 
 
-def sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
+def _sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
     """Sum images as `cpu_kernels.sum_planes`, by exact maps."""
     _sweep(rectified, slab, grid, outside, lambda dr, samples: sum(samples), out)
 
 
-def multiply_planes(
+def _multiply_planes(
     rectified: F32, slab: Slab, grid: Grid, outside: float, floor: float, out: F32
 ) -> None:
     """Multiply images as `cpu_kernels.multiply_planes`, with exact maps."""
@@ -131,7 +131,7 @@ def refocus_sum(
     volume = np.empty(grid.shape, dtype=np.float32)
     for view, rectified, part in _parts(images, cameras, grid, outside, volume):
         if _on_device():
-            sum_planes(rectified, view.slab, grid, outside, part)
+            _sum_planes(rectified, view.slab, grid, outside, part)
         else:
             cpu_kernels.sum_planes(rectified, LINEAR, view.tiles, outside, part)
     return volume
@@ -170,7 +170,7 @@ def refocus_log2(
     largest = float(max(images.max(initial=0.0), outside, 1.0))
     for view, rectified, part in _parts(images, cameras, grid, outside, volume):
         if _on_device():
-            multiply_planes(rectified, view.slab, grid, outside, floor, part)
+            _multiply_planes(rectified, view.slab, grid, outside, floor, part)
         else:
             cpu_kernels.multiply_planes(rectified, view.tiles, outside, floor, 2.0 * largest, part)
     return volume

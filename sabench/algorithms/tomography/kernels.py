@@ -141,7 +141,7 @@ def _fix(position: Any, count: int, geometry: Any, base: Any, across: Any, down:
 
 
 @numba.njit(cache=True, fastmath=True)
-def sample(image: Any, columns: int, base: Any, across: Any, down: Any) -> Any:
+def sample_image(image: Any, columns: int, base: Any, across: Any, down: Any) -> Any:
     """Interpolate bilinearly in an image (flat)."""
     corner, below = np.uint32(base), np.uint32(base + columns)
     right, lower = np.float32(across) / _ONE, np.float32(down) / _ONE
@@ -167,7 +167,7 @@ def _scatter(value: Any, places: Any, columns: int, image: Any) -> None:
 
 
 @numba.njit(cache=True, parallel=True)
-def project(
+def project_volume(
     geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any
 ) -> None:
     """Project parts of a volume, each into an image of its own.
@@ -224,7 +224,7 @@ def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
     base, across, down = places
     for i in range(len(out)):
         if base[i] >= 0:
-            out[i] += sample(image, columns, base[i], across[i], down[i])
+            out[i] += sample_image(image, columns, base[i], across[i], down[i])
 
 
 @numba.njit(cache=True, fastmath=True)

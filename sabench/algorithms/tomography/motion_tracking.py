@@ -22,7 +22,7 @@ from sabench.algorithms.velocimetry.multipass import Field
 from sabench.api import Observation
 from sabench.utils.arrays import F32, F64
 
-Place = tuple[float, float, float]
+_Place = tuple[float, float, float]
 _FIXED_POINT = 3  # steps from the middle of an interval to its ends; each gains a digit or more
 
 
@@ -67,8 +67,8 @@ class Displacement:
     """
 
     shift: F64
-    origin: Place
-    step: Place
+    origin: _Place
+    step: _Place
 
     @classmethod
     def of(cls, field: Field, splits: Splits) -> Displacement:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from sabench.algorithms.tomography import projection_operator as operators, supersampling
 from sabench.algorithms.tomography.art_updates import Iterate, RecordedLight
-from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample, scratch
+from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample_image, scratch
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, I64
@@ -149,7 +149,7 @@ def _multiply_camera(
     for i in range(left):
         light, counts = np.float32(1.0), 0
         if base[i] >= 0:
-            light, counts = sample(image, geometry.columns, base[i], across[i], down[i]), 1
+            light, counts = sample_image(image, geometry.columns, base[i], across[i], down[i]), 1
         x[written], product[written], views[written] = x[i], product[i] * light, views[i] + counts
         written += int(
             light >= threshold

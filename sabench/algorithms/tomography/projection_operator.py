@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
-from sabench.algorithms.tomography.kernels import KernelGeometry, back_project, project
+from sabench.algorithms.tomography.kernels import KernelGeometry, back_project, project_volume
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.plane_polynomials import plane_maps
@@ -173,7 +173,9 @@ class ProjectionOperator:
         parts = self.support.parts(max(1, _TASKS // len(chosen)))
         size = self.geometry.rows, self.geometry.columns
         images = np.zeros((len(chosen), len(parts) - 1, math.prod(size)), dtype=np.float32)
-        project(self.geometry, chosen, parts, self.support.start, self.support.x, values, images)
+        project_volume(
+            self.geometry, chosen, parts, self.support.start, self.support.x, values, images
+        )
         return self.footprint.smooth(images.sum(axis=1).reshape(-1, *size))
 
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:

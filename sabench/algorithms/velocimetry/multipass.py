@@ -210,7 +210,7 @@ _KERNEL = 0.65
 
 
 @dataclass(frozen=True)
-class Plan:
+class MultipassPlan:
     """Settings of the evaluation of a pair of volumes.
 
     Attributes
@@ -260,7 +260,7 @@ class Field:
         return Velocity(low, triple(voxel * step), self.shift * voxel / interval_s, self.valid)
 
 
-def evaluate(first: F32, second: F32, plan: Plan) -> Field:
+def evaluate(first: F32, second: F32, plan: MultipassPlan) -> Field:
     """Evaluate displacements between two volumes (z, y, x)."""
     pairs = zip(widths(first), widths(second), strict=True)
     z, y, x = (0.5 * (width + other) for width, other in pairs)
@@ -302,7 +302,7 @@ def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: fl
     )
 
 
-def _validate(windows: Windows, peaks: CorrelationPeaks, valid: Bool, plan: Plan) -> Field:
+def _validate(windows: Windows, peaks: CorrelationPeaks, valid: Bool, plan: MultipassPlan) -> Field:
     valid = within_deviations(peaks.shift, valid, 5.0)
     valid = near_the_median(peaks.shift, valid, plan.median)
     return Field(windows, fill_invalid(peaks.shift, valid), valid)

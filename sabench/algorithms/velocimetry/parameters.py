@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from sabench.algorithms.velocimetry.multipass import Plan
+from sabench.algorithms.velocimetry.multipass import MultipassPlan
 from sabench.algorithms.velocimetry.windows import Size
 from sabench.api import Parameters
 
@@ -45,7 +45,7 @@ class CorrelationParameters(Parameters):
         description="standard deviation of the later windows' Gaussian weights, as a part of them",
     )
 
-    def plan(self, shape: Size, first: Size, last: Size, search: Size) -> Plan:
+    def plan(self, shape: Size, first: Size, last: Size, search: Size) -> MultipassPlan:
         """Make the plan for volumes of a shape; the first windows are cut to fit in.
 
         Parameters
@@ -55,7 +55,7 @@ class CorrelationParameters(Parameters):
         z, y, x = (
             min(edge, max(1, 2 * (size // 2))) for edge, size in zip(first, shape, strict=True)
         )
-        return Plan(
+        return MultipassPlan(
             (z, y, x),
             last,
             self.overlap,
@@ -79,6 +79,6 @@ class VolumeCorrelationParameters(CorrelationParameters):
     window: Voxels = Field((32, 32, 16), description="of the later passes")
     reach: Voxels = Field((1, 1, 1), description="largest shift that a later pass looks for")
 
-    def volume_plan(self, shape: Size) -> Plan:
+    def volume_plan(self, shape: Size) -> MultipassPlan:
         """Make the plan for volumes (z, y, x)."""
         return self.plan(shape, self.first_window[::-1], self.window[::-1], self.reach[::-1])

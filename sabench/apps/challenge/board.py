@@ -17,7 +17,7 @@ from sabench import tasks
 from sabench.api.solvers import TaskName
 from sabench.apps.challenge.scoring import (
     ADMITTED,
-    COSTS,
+    PARTICIPANT_COSTS,
     Challenge,
     opened_challenge,
     read_challenge,
@@ -26,7 +26,7 @@ from sabench.apps.challenge.scoring import (
 from sabench.dataset.copies import copy_observation, pack
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
-from sabench.evaluation.leaderboard.archives import Submitted, check_name, pack_results
+from sabench.evaluation.leaderboard.archives import Submitted, check_archive_name, pack_results
 from sabench.evaluation.leaderboard.page_content import gate_text
 from sabench.evaluation.runner import dataset_of
 from sabench.evaluation.solver_card import CARD, SolverCard, check_solvers, read_cards
@@ -36,12 +36,12 @@ from sabench.tasks.external_programs import is_program, solver_name
 from sabench.tasks.solve_and_score import check_result_task, solve
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, digest, refuse_existing, zip_folder
-from sabench.utils.processes.program import Limits
+from sabench.utils.processes.program import ProgramLimits
 from sabench.utils.progress import console
 from sabench.utils.version import __version__
 
 _FOLDER = Path(__file__).with_name("pages")
-NAMES = ("overview", "data", "evaluation", "terms")
+_PAGES = ("overview", "data", "evaluation", "terms")
 CARD_TEMPLATE = "".join(
     f'# {field.description}\n{name} = ""\n' for name, field in SolverCard.model_fields.items()
 )
@@ -50,7 +50,7 @@ CARD_TEMPLATE = "".join(
 def page(name: str, challenge: Challenge) -> str:
     """Fill in a page in Markdown: one of `NAMES`."""
     task = tasks.of(challenge.task)
-    shown = [column for column in task.columns if column.key not in COSTS]
+    shown = [column for column in task.columns if column.key not in PARTICIPANT_COSTS]
     scores = "\n".join(f"| {column.heading} | {column.meaning} |" for column in shown)
     values = {
         "title": challenge.title,
@@ -101,7 +101,7 @@ def write_bundle(
     kit.mkdir()
     _write_instructions(challenge, kit)
     (folder / "pages").mkdir()
-    for name in NAMES:
+    for name in _PAGES:
         (folder / "pages" / f"{name}.md").write_text(page(name, challenge), encoding="utf-8")
     shutil.copyfile(public, folder / "public_data.zip")
     # images of the first data set, which participants receive anyway
@@ -120,7 +120,7 @@ def competition(challenge: Challenge, image: str) -> Iterator[str]:
     """Give the lines of competition.yaml; texts are quoted as JSON, which YAML reads."""
     start = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M:%S")
     pages = "\n".join(
-        f"  - {{title: {name.capitalize()}, file: pages/{name}.md}}" for name in NAMES
+        f"  - {{title: {name.capitalize()}, file: pages/{name}.md}}" for name in _PAGES
     )
     yield f"""version: 2
 title: {_quoted(challenge.title)}
@@ -150,7 +150,9 @@ leaderboards:
     key: main
     submission_rule: Force_Last
     columns:"""
-    scores = [column for column in tasks.of(challenge.task).columns if column.key not in COSTS]
+    scores = [
+        column for column in tasks.of(challenge.task).columns if column.key not in PARTICIPANT_COSTS
+    ]
     for number, column in enumerate(scores):
         order = "asc" if column.better == "smaller" else "desc"
         yield _column(number, column.key, column.heading, order)
@@ -256,7 +258,7 @@ def participate(
     results: Path,
     cards: Sequence[Path] = (),
     parameters: dict[str, Any] | None = None,
-    limits: Limits | None = None,
+    limits: ProgramLimits | None = None,
     overwrite: bool = False,
 ) -> int:
     """Solve all data sets of a challenge, pack the results, and return their number.
@@ -277,7 +279,7 @@ def participate(
     InputError
         As `solve` and `pack_results`, or a solver of another task.
     """
-    check_name(out)
+    check_archive_name(out)
     refuse_existing(out, overwrite=overwrite)
     shown = solver_name(solver) if is_program(solver) else solver
     check_solvers(read_cards([], cards), [shown])  # before hours of solving

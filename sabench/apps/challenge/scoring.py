@@ -22,7 +22,7 @@ from sabench.utils.files import canonical_json, inside, read_json
 from sabench.utils.validation import printable, validate
 from sabench.utils.version import __version__
 
-FILE = "challenge.json"
+_FILE = "challenge.json"
 
 
 class Challenge(BaseModel):
@@ -41,7 +41,7 @@ class Challenge(BaseModel):
 def write_challenge(challenge: Challenge, folder: Path) -> None:
     """Write the file into a folder of data sets."""
     text = canonical_json(challenge.model_dump(mode="json"))
-    (folder / FILE).write_text(text, encoding="utf-8")
+    (folder / _FILE).write_text(text, encoding="utf-8")
 
 
 def read_challenge(folder: Path) -> Challenge:
@@ -52,9 +52,9 @@ def read_challenge(folder: Path) -> Challenge:
     InputError
         No such file, another format, or a folder that is missing or outside.
     """
-    path = folder / FILE
+    path = folder / _FILE
     if not path.is_file():
-        raise InputError(f"{folder}: expected a challenge, with a file {FILE}, found none")
+        raise InputError(f"{folder}: expected a challenge, with a file {_FILE}, found none")
     challenge = validate(Challenge, read_json(path), str(path))
     for name in challenge.data_sets:
         if not inside(folder, name).is_dir():
@@ -92,8 +92,8 @@ def _unpack(path: Path, folder: Path) -> None:
         raise InputError(f"{path}: expected an intact .zip archive, got {error}") from error
 
 
-COSTS = ("seconds", "peak_mb", "reconstruction_s")  # of the participants' machines
-_LEFT_OUT = (*COSTS, "compile_s", "isolated", "whole_process", "estimate_hash")
+PARTICIPANT_COSTS = ("seconds", "peak_mb", "reconstruction_s")  # of the participants' machines
+_LEFT_OUT = (*PARTICIPANT_COSTS, "compile_s", "isolated", "whole_process", "estimate_hash")
 ADMITTED = "admitted"
 
 
@@ -136,7 +136,7 @@ def score_submission(reference: Path, submission: Path, out: Path) -> dict[str, 
 def average(challenge: Challenge, scores: list[dict[str, Any]]) -> dict[str, float]:
     """Average the scores of all data sets."""
     task, means = tasks.of(challenge.task), {}
-    for key in (one.key for one in task.columns if one.key not in COSTS):
+    for key in (one.key for one in task.columns if one.key not in PARTICIPANT_COSTS):
         values = [one[key] for one in scores if one[key] is not None]
         mean = mean_of(values)
         if mean is not None and len(values) == len(scores):

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from sabench.algorithms.calibration.resection import place_boards, upright_axes
-from sabench.algorithms.calibration.target_detection import detect
+from sabench.algorithms.calibration.target_detection import detect_target
 from sabench.api import CalibrationCase
 from sabench.api.truth import Target
 from sabench.dataset.cameras import read_calibrated
@@ -27,7 +27,7 @@ from sabench.utils.arrays import F64, I64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside
 from sabench.utils.progress import progress_bar
-from sabench.utils.tables import read_records
+from sabench.utils.tables import read_named_rows
 from sabench.utils.validation import (
     Direction,
     Positive,
@@ -51,7 +51,7 @@ _LARGEST = 2**31  # number of a frame or a point
 
 
 @dataclass(frozen=True)
-class Sightings:
+class _PointObservations:
     """Points that cameras saw, and what was measured of their places.
 
     Attributes
@@ -81,15 +81,15 @@ class _Line:
     sigma_mm: tuple[float, ...]
 
 
-def unseen(pixels: F64) -> Sightings:
+def unseen(pixels: F64) -> _PointObservations:
     """Make sightings of pixels (camera, frame, point, 2) without known places."""
     frames, points = pixels.shape[1:3]
     nothing = np.full((frames, points, 3), np.nan)
     numbers = np.tile(np.arange(points), (frames, 1))
-    return Sightings(pixels, nothing, nothing.copy(), np.arange(frames), numbers)
+    return _PointObservations(pixels, nothing, nothing.copy(), np.arange(frames), numbers)
 
 
-def read_sightings(path: Path, names: Sequence[str], count: int) -> Sightings:
+def read_sightings(path: Path, names: Sequence[str], count: int) -> _PointObservations:
     """Read the points.csv of a target with `count` points, counted from 0.
 
     Parameters
@@ -116,7 +116,7 @@ def read_sightings(path: Path, names: Sequence[str], count: int) -> Sightings:
     return sightings
 
 
-def read_loose_points(path: Path, names: Sequence[str]) -> Sightings:
+def read_loose_points(path: Path, names: Sequence[str]) -> _PointObservations:
     """Read a points.csv with measured places of points without a target.
 
     Points are not matched between frames: each point of each frame becomes a frame of one point.
@@ -137,16 +137,18 @@ def read_loose_points(path: Path, names: Sequence[str]) -> Sightings:
     rows = {label: number for number, label in enumerate(labels)}
     empty = unseen(np.full((len(names), len(labels), 1, 2), np.nan))
     frames, points = np.array(labels, dtype=np.int64).T
-    sightings = Sightings(empty.pixels, empty.known_mm, empty.sigma_mm, frames, points[:, None])
+    sightings = _PointObservations(
+        empty.pixels, empty.known_mm, empty.sigma_mm, frames, points[:, None]
+    )
     for line in lines:
         _enter(sightings, names, line, rows[line.frame, line.point], 0)
     return sightings
 
 
-def read_target(path: Path) -> tuple[tuple[float, float, float], ...]:
+def read_target_points(path: Path) -> tuple[tuple[float, float, float], ...]:
     """Read a target's own points: columns point, x_mm, y_mm and z_mm, counted from 0."""
     places: dict[int, tuple[float, float, float]] = {}
-    for where, line in read_records(path, ("point", *_AXES), (), _ALIASES):
+    for where, line in read_named_rows(path, ("point", *_AXES), (), _ALIASES):
         number = _whole(where, line, "point")
         x, y, z = (_length(where, line, name) for name in _AXES)
         if number in places:
@@ -160,7 +162,9 @@ def read_target(path: Path) -> tuple[tuple[float, float, float], ...]:
     return tuple(places[number] for number in range(len(places)))
 
 
-def _enter(sightings: Sightings, names: Sequence[str], line: _Line, frame: int, point: int) -> None:
+def _enter(
+    sightings: _PointObservations, names: Sequence[str], line: _Line, frame: int, point: int
+) -> None:
     """Enter a line's pixel and place into the arrays."""
     camera = names.index(line.camera)
     if np.isfinite(sightings.pixels[camera, frame, point, 0]):
@@ -181,7 +185,7 @@ def _enter(sightings: Sightings, names: Sequence[str], line: _Line, frame: int, 
 
 
 def _lines(path: Path, names: Sequence[str]) -> Iterator[_Line]:
-    for where, line in read_records(path, _SEEN, (*_AXES, "sigma_mm", *_SIGMAS), _ALIASES):
+    for where, line in read_named_rows(path, _SEEN, (*_AXES, "sigma_mm", *_SIGMAS), _ALIASES):
         camera, frame, point = line["camera"], *(_whole(where, line, k) for k in _SEEN[1:3])
         if camera not in names:
             raise InputError(
@@ -253,7 +257,7 @@ class ArraySpec(Table):
     principal_distance_mm: Positive | None = Field(None, description="by default the focal length")
 
 
-class CameraSpec(Table):
+class _NominalCamera(Table):
     """Initial guess of a camera's position, and the point that it is aimed at.
 
     Its lens and sensor, where they are not those of the array.
@@ -306,7 +310,7 @@ class Configuration(Table):
     up: Direction = Field(_UP, description="direction of the world that images show upwards")
     array: ArraySpec | None = None
     wall: WallTable | None = None
-    cameras: tuple[CameraSpec, ...] = ()
+    cameras: tuple[_NominalCamera, ...] = ()
     known_cameras: str | None = Field(
         None,
         min_length=1,
@@ -402,7 +406,7 @@ def _target(configuration: Configuration, folder: Path) -> Target:
     if spec is not None:
         return Target(**spec.model_dump())
     if points is not None:
-        return Target.from_places(read_target(inside(folder, points)))
+        return Target.from_places(read_target_points(inside(folder, points)))
     return Target.from_places(((0.0, 0.0, 0.0),))
 
 
@@ -488,7 +492,7 @@ def _known_cameras(configuration: Configuration, folder: Path) -> tuple[Camera, 
     return cameras
 
 
-def _enter_known(configuration: Configuration, sightings: Sightings, source: str) -> None:
+def _enter_known(configuration: Configuration, sightings: _PointObservations, source: str) -> None:
     """Enter the measured coordinates of the configuration.
 
     A coordinate of a whole frame has one error, which is spread over its points.
@@ -528,7 +532,7 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
     for k in progress_bar(range(len(frames)), "find the target"):
         paths = {c: path for c, camera in enumerate(cameras) if (path := _find(frames[k], camera))}
         for c, image in zip(paths, read_photographs([*paths.values()], shape), strict=True):
-            pixels[c, k] = detect(image, target, cameras[c].project(plain)[0])
+            pixels[c, k] = detect_target(image, target, cameras[c].project(plain)[0])
     return pixels
 
 

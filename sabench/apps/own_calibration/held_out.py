@@ -10,7 +10,7 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine
 from sabench.algorithms.calibration.fit_checks import correlated_part, neighbours
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.parameters import FreeParameters, WallFrame
 from sabench.algorithms.calibration.resection import known_places
 from sabench.algorithms.calibration.unknown_selection import split_frames
 from sabench.api import Calibration, CalibrationCase
@@ -133,7 +133,7 @@ def target_places(
     if whole.points_mm is None or not places_rigidly(cameras, whole):
         return case.initial_mm if has_places(case) else _triangulated(cameras, case)
     pinholes = tuple(camera for camera in cameras if isinstance(camera, Camera))
-    frame = Frame.from_cameras(pinholes, whole.points_mm)
+    frame = WallFrame.from_cameras(pinholes, whole.points_mm)
     visible = case.found.any(axis=(0, 2))
     board = whole.points_mm[int(np.argmax(visible))]
     used = case.found if whole.used is None else whole.used
@@ -193,7 +193,7 @@ def _aligned(placed: F64, points: F64, case: CalibrationCase) -> F64:
 
     Motions that the images do not determine are removed, unless known points determine them.
     """
-    frame = Frame.from_cameras(case.cameras, case.initial_mm)
+    frame = WallFrame.from_cameras(case.cameras, case.initial_mm)
     aligned, true = frame.motion(placed), frame.motion(points)
     finite = np.asarray(np.isfinite(aligned + true).all(axis=-1))
     free = np.isfinite(case.known_mm).all(axis=-1).sum() < _FIXING
@@ -212,7 +212,7 @@ def _summary(
     moved: list[F64],
     failed: int,
 ) -> HeldOut:
-    axes = Frame.from_cameras(case.cameras, case.initial_mm).motion.rotation
+    axes = WallFrame.from_cameras(case.cameras, case.initial_mm).motion.rotation
     frames = np.isfinite(errors).any(axis=(0, 2, 3)).sum()
     pairs = neighbours(case.target.points_mm)
     if case.found.shape[2] == 1:

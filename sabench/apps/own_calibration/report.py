@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages
-from sabench.algorithms.calibration.cramer_rao import Limit, limit
+from sabench.algorithms.calibration.cramer_rao import Limit, compute_bound
 from sabench.algorithms.calibration.fit_checks import correlated_part, neighbours
-from sabench.algorithms.calibration.joint_fit import INDEX, THICKNESS
-from sabench.algorithms.calibration.parameters import WALL, Frame, FreeParameters, common_plane
+from sabench.algorithms.calibration.joint_fit import INDEX_SIGMA, THICKNESS
+from sabench.algorithms.calibration.parameters import WALL, FreeParameters, WallFrame, common_plane
 from sabench.algorithms.calibration.problem import make_anchors
 from sabench.algorithms.calibration.unknown_selection import Nested
 from sabench.api import Calibration, CalibrationCase
@@ -60,7 +60,7 @@ class WallUnknown:
     shown: bool
 
 
-def media_of(wall: Wall) -> tuple[str, ...]:
+def _name_media(wall: Wall) -> tuple[str, ...]:
     """Name the media along the way of light from a camera."""
     return "the cameras' medium", *(layer.name for layer in wall.layers), "the fluid"
 
@@ -75,7 +75,7 @@ def wall_unknowns(
     shared_std : (s,) bound of what all cameras share, see `cramer_rao.Limit`.
     """
     names = [
-        *((f"index of {name}", "", _INDEX) for name in media_of(nominal)),
+        *((f"index of {name}", "", _INDEX) for name in _name_media(nominal)),
         *((f"thickness of {layer.name}", "mm", _THICKNESS_MM) for layer in nominal.layers),
         ("tilt of the wall about X", "deg", _TILT_DEG),
         ("tilt of the wall about Y", "deg", _TILT_DEG),
@@ -130,7 +130,7 @@ _MISFIT = 0.5  # times the noise: residuals that neighbours share, above which a
 
 
 @dataclass(frozen=True)
-class Report:
+class CalibrationReport:
     """Quality of a calibration as far as its own data show it.
 
     Attributes
@@ -173,7 +173,7 @@ def report_on(
     answer: Calibration,
     held_out: HeldOut | None,
     compared: tuple[Nested, ...] = (),
-) -> tuple[Report, F64, F64]:
+) -> tuple[CalibrationReport, F64, F64]:
     """Report the quality of a calibration.
 
     Also returns the places of the target (frame, point, 3) in mm and the residuals of the points
@@ -203,7 +203,7 @@ def report_on(
     std = _expected_mm(bound, held_out)
     walled = any(camera.wall for camera in case.cameras)
     depth = _depth_mm(bound, held_out) if walled else None
-    report = Report(
+    report = CalibrationReport(
         (
             *answer.remarks,
             *warn_of_unknowns(wall),
@@ -263,7 +263,7 @@ def _bound(
     cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
     if not places_rigidly(answer.cameras, answer):
         return None, ()
-    frame, free = Frame.from_cameras(cameras, points), FreeParameters.from_case(case)
+    frame, free = WallFrame.from_cameras(cameras, points), FreeParameters.from_case(case)
     board = points[int(np.argmax(used.any(axis=(0, 2))))]  # with its bend
     images = BoardImages(
         board - board.mean(axis=0),
@@ -273,7 +273,7 @@ def _bound(
         frame.beyond_kernels,
     )
     state = frame.state(images.board, points)
-    bound, nominal = limit(state, images, free, noise), common_plane(case.cameras)
+    bound, nominal = compute_bound(state, images, free, noise), common_plane(case.cameras)
     if nominal is None or frame.wall is None:
         return bound, ()
     return bound, wall_unknowns(nominal, frame.wall, free, bound.shared_std)
@@ -333,8 +333,8 @@ def _warn_of_model(
                 f"{before.thickness_mm:.3g} mm is nominal: measure it, and take it out of the "
                 "unknowns."
             )
-    for name, old, new in zip(media_of(nominal), nominal.indices, fitted.indices, strict=True):
-        if abs(new - old) > INDEX:
+    for name, old, new in zip(_name_media(nominal), nominal.indices, fitted.indices, strict=True):
+        if abs(new - old) > INDEX_SIGMA:
             yield (
                 f"The fit gives {name} an index of {new:.4g} where {old:.4g} is nominal: measure "
                 "it, and take it out of the unknowns."

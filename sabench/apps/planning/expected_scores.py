@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sabench.apps.planning.optics import Sample
+from sabench.apps.planning.optics import ParticleSample
 from sabench.apps.planning.viewing import Advice, Quantity, Section, Viewing
 from sabench.metrics.particle_detection import ghost_ratio
 from sabench.scenes import Scene
@@ -103,7 +103,7 @@ _MOST_COVERED = 0.5  # share of the images
 _DENSITIES = ("per_pixel", "per_mm3", "count")
 
 
-def plan_density(scene: Scene, view: Viewing, sample: Sample) -> Section:
+def plan_density(scene: Scene, view: Viewing, sample: ParticleSample) -> Section:
     """Compute particles per pixel, covered pixels and the ghosts of equation 3.14."""
     cameras, count = view.rig.cameras, len(sample.particles)
     per_mm3 = count / math.prod(scene.volume.size_mm)
@@ -158,7 +158,7 @@ _COST = 0.02  # of Q
 _EDGE = 0.05  # relative: so little outside of the range is inside
 _LEAST, _MOST = 0.005, 0.995  # range of scores for the logit
 
-Values = Mapping[str, float]
+_Values = Mapping[str, float]
 
 
 class Feature(NamedTuple):
@@ -167,7 +167,7 @@ class Feature(NamedTuple):
     `key` is the scene's key to change; None: the key of the density.
     """
 
-    value: Callable[[Values], float]
+    value: Callable[[_Values], float]
     key: str | None
     logarithmic: bool = True
 
@@ -191,7 +191,7 @@ FEATURES: dict[str, Feature] = {
 _CALIBRATION = list(FEATURES).index("(calibration_px / image_px)^2")
 
 
-class Score(NamedTuple):
+class ExpectedScore(NamedTuple):
     """Score that the model gives: the solver, its score in records, and its meaning."""
 
     solver: str
@@ -200,16 +200,18 @@ class Score(NamedTuple):
 
 
 SCORES = {
-    "q_synthetic_aperture": Score("msa", "q", "Q of msa, default threshold"),
-    "q_mart": Score("mlos_smart", "q", "Q of mlos_smart"),
-    "ghosts_synthetic_aperture": Score("msa", "ghosts", "ghosts / true particles, peaks of msa"),
-    "f1_mart": Score("mlos_smart", "f1", "F1 of the peaks of mlos_smart"),
-    "f1_triangulation": Score("ray_triangulation", "f1", "F1 of ray_triangulation"),
-    "f1_bayesian": Score("bayesian_ipr", "f1", "F1 of bayesian_ipr"),
+    "q_synthetic_aperture": ExpectedScore("msa", "q", "Q of msa, default threshold"),
+    "q_mart": ExpectedScore("mlos_smart", "q", "Q of mlos_smart"),
+    "ghosts_synthetic_aperture": ExpectedScore(
+        "msa", "ghosts", "ghosts / true particles, peaks of msa"
+    ),
+    "f1_mart": ExpectedScore("mlos_smart", "f1", "F1 of the peaks of mlos_smart"),
+    "f1_triangulation": ExpectedScore("ray_triangulation", "f1", "F1 of ray_triangulation"),
+    "f1_bayesian": ExpectedScore("bayesian_ipr", "f1", "F1 of bayesian_ipr"),
 }
 
 
-def features_of(values: Values) -> F64:
+def features_of(values: _Values) -> F64:
     """Compute the features (feature,) of a plan's figures, without logarithms."""
     return np.array([feature.value(values) for feature in FEATURES.values()])
 
@@ -220,7 +222,7 @@ def transform(features: F64) -> F64:
     return np.where(logarithmic, np.log(np.where(logarithmic, features, 1.0)), features)
 
 
-def link(score: str, value: F64) -> F64:
+def link_function(score: str, value: F64) -> F64:
     """Stretch a score to all numbers: the logit of Q and F1, the logarithm of ghosts."""
     if score == "ghosts":
         return np.asarray(np.log(value + GHOST_FLOOR))
@@ -293,7 +295,9 @@ def read_model(stored: Mapping[str, Any]) -> ScoreModel:
         given = stored["kernels"][key]
         kernel = Kernel(np.array(given["lengths"]), *(given[name] for name in _DEVIATIONS))
         processes[key] = GaussianProcess(
-            ((points - mean) / scale)[measured], link(score.score, values[measured]), kernel
+            ((points - mean) / scale)[measured],
+            link_function(score.score, values[measured]),
+            kernel,
         )
     return ScoreModel(low, high, mean, scale, processes)
 

@@ -209,7 +209,7 @@ _SMALLEST_PX, _LARGEST_PX = 2.0, 4.0  # image diameters with precisely measurabl
 
 
 @dataclass(frozen=True)
-class Sample:
+class ParticleSample:
     """Some particles of the first frame, as every camera images them.
 
     Attributes
@@ -243,7 +243,7 @@ class Sample:
         return float(np.sqrt(np.mean(np.var(np.log(photons), axis=0))))
 
 
-def sample_images(frame: FrameContent, tracers: Tracers) -> Sample | None:
+def sample_images(frame: FrameContent, tracers: Tracers) -> ParticleSample | None:
     """Image a sample of a frame's particles; None where no camera sees one."""
     whole = tracers.particles
     some = np.unique(np.linspace(0, max(len(whole) - 1, 0), min(len(whole), _SAMPLE)).astype(int))
@@ -257,7 +257,7 @@ def sample_images(frame: FrameContent, tracers: Tracers) -> Sample | None:
         for camera in frame.rig.cameras
     )
     visible = any(image.visible.any() for image in images)
-    return Sample(frame, whole, images) if visible else None
+    return ParticleSample(frame, whole, images) if visible else None
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,7 @@ class _Exposure:
     constant_noise: float
 
 
-def plan_light(sample: Sample) -> Section:
+def plan_light(sample: ParticleSample) -> Section:
     """Compute photons, signal to noise and saturation of the particles' images."""
     scene = sample.frame.scene
     exposures = [

@@ -15,7 +15,7 @@ from sabench.apps.planning.viewing import Viewing
 from sabench.geometry.camera import Camera
 from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.refraction import Wall
-from sabench.plotting.outlines import KINDS, STYLE, Outline, draw_outlines
+from sabench.plotting.outlines import OUTLINE_KINDS, STYLE, Outline, draw_outlines
 from sabench.plotting.page import render_page
 from sabench.scenes import Scene
 from sabench.scenes.illumination import Illumination
@@ -227,14 +227,14 @@ Resolution of Fluid Flows, MIT.</p>
 """
 
 
-def render(plan: Plan) -> str:
+def render_plan(plan: Plan) -> str:
     """Render a plan as a self-contained page."""
     values = {
         "title": plan.scene.title,
         "advice": plan.advice,
         "drawings": [(name, Markup(svg)) for name, svg in draw_rig(plan.scene, plan.viewing)],
         "sections": plan.sections,
-        "legend": [(kind, _NAMES[kind]) for kind in reversed(KINDS)],
+        "legend": [(kind, _NAMES[kind]) for kind in reversed(OUTLINE_KINDS)],
         "style": Markup(STYLE),
     }
     return render_page(_PAGE, values)

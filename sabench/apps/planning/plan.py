@@ -15,7 +15,7 @@ import numpy as np
 
 from sabench.apps.planning import optics
 from sabench.apps.planning.expected_scores import plan_density, plan_scores
-from sabench.apps.planning.viewing import Advice, Quantity, Section, Viewing, view
+from sabench.apps.planning.viewing import Advice, Quantity, Section, Viewing, compute_viewing
 from sabench.geometry.common_view import lattice_of
 from sabench.scenes import Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
@@ -50,7 +50,7 @@ _FAST = 99.0  # percentile of displacements
 
 
 @dataclass(frozen=True)
-class Recorder:
+class RecordingSystem:
     """Computer and cameras of a recording; by default the thesis's, 3.2.1.
 
     Attributes
@@ -74,7 +74,7 @@ class Recorder:
 
 
 def plan_recording(
-    scene: Scene, view: Viewing, recorder: Recorder, sample: optics.Sample | None
+    scene: Scene, view: Viewing, recorder: RecordingSystem, sample: optics.ParticleSample | None
 ) -> Section:
     """Compute data rates and times; a single frame and a target have none."""
     frame_mb = (
@@ -124,7 +124,7 @@ def shortest_step_s(scene: Scene) -> float:
     return float(np.diff(scene.timing.pulses_s).min())
 
 
-def _straddling(scene: Scene, recorder: Recorder) -> list[Quantity]:
+def _straddling(scene: Scene, recorder: RecordingSystem) -> list[Quantity]:
     """Place two pulses evenly about the gap between two exposures, figure 3-3."""
     if scene.timing is None or len(scene.timing.pulses_s) != 2:
         return []
@@ -138,7 +138,7 @@ def _straddling(scene: Scene, recorder: Recorder) -> list[Quantity]:
     ]
 
 
-def _displacement_px(scene: Scene, view: Viewing, sample: optics.Sample) -> float | None:
+def _displacement_px(scene: Scene, view: Viewing, sample: optics.ParticleSample) -> float | None:
     if not len(sample.particles):
         return None
     speed = np.linalg.norm(sample.particles.velocity_mm_s, axis=1)
@@ -146,7 +146,7 @@ def _displacement_px(scene: Scene, view: Viewing, sample: optics.Sample) -> floa
     return fast * shortest_step_s(scene) / view.pixel_mm(0.5)
 
 
-def _advise(scene: Scene, recorder: Recorder, per_bus: int) -> list[Advice]:
+def _advise(scene: Scene, recorder: RecordingSystem, per_bus: int) -> list[Advice]:
     advice, timed = [], scene.timing is not None
     step, gap = shortest_step_s(scene), 1e-6 * recorder.gap_us
     if not per_bus:
@@ -197,7 +197,7 @@ class Plan:
         }
 
 
-def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
+def plan(scene: Scene | str | Path, recorder: RecordingSystem | None = None) -> Plan:
     """Plan an experiment.
 
     Parameters
@@ -212,7 +212,7 @@ def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
     """
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     rig = build_rig(loaded, loaded.title if isinstance(scene, Scene) else str(scene))
-    viewing = view(loaded, rig)
+    viewing = compute_viewing(loaded, rig)
     sections = [optics.plan_view(loaded, viewing), optics.plan_depth(loaded, viewing)]
     sections += [optics.plan_sharpness(loaded, viewing), plan_calibration(loaded, viewing)]
     sample, lit = None, loaded
@@ -224,7 +224,7 @@ def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
         sections += [optics.plan_light(sample), plan_density(loaded, viewing, sample)]
         expected = plan_scores(loaded, sections)
         sections += [expected] if expected is not None else []
-    sections.append(plan_recording(loaded, viewing, recorder or Recorder(), sample))
+    sections.append(plan_recording(loaded, viewing, recorder or RecordingSystem(), sample))
     return Plan(lit, rig, viewing, tuple(sections))
 
 
@@ -234,7 +234,7 @@ _SCORED = 0.99  # share of the scored volume that all cameras should see
 _LENGTHS = ("spacing_mm", "radius_mm", "x_mm", "y_mm")  # lengths of layouts
 _DENSITIES = ("count", "per_mm3", "per_pixel")
 
-Values = dict[str, Any]
+_Values = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,7 @@ def design_scene(base: Scene, wanted: Wanted) -> Scene:
     if base.walls and base.plane is None:
         raise InputError(f"{base.title}: wall: expected one plane wall or none to move")
     electrons = _figure(base, "peak_e")
-    viewing = view(base, build_rig(base, base.title))
+    viewing = compute_viewing(base, build_rig(base, base.title))
     start = _with_volume(base, viewing, wanted)
     values = _move_cameras(start, viewing, wanted, base)
     # choose the f-number with the wanted depth of field, or the base's. The depth of field grows
@@ -314,7 +314,7 @@ def _figure(scene: Scene, key: str) -> float:
     return value
 
 
-def _with_volume(base: Scene, viewing: Viewing, wanted: Wanted) -> Values:
+def _with_volume(base: Scene, viewing: Viewing, wanted: Wanted) -> _Values:
     """Change volume, voxels, density, light and the wall's position."""
     values, ratio = base.to_dict(), wanted.pixel_mm / viewing.pixel_mm(0.5)
     deeper = wanted.depth_mm - viewing.depth_mm
@@ -341,14 +341,14 @@ def _with_volume(base: Scene, viewing: Viewing, wanted: Wanted) -> Values:
     return values
 
 
-def _move_cameras(values: Values, viewing: Viewing, wanted: Wanted, base: Scene) -> Values:
+def _move_cameras(values: _Values, viewing: Viewing, wanted: Wanted, base: Scene) -> _Values:
     """Move the cameras back or forth until a pixel has the wanted width."""
     middle, place = viewing.center_mm, np.asarray(base.cameras.center_mm)
     scale = wanted.pixel_mm / viewing.pixel_mm(0.5)
     for _ in range(_STEPS):
         moved = _scaled(values, base, middle, place, scale)
         scene = _scene(moved)
-        got = view(scene, build_rig(scene, "wanted scene")).pixel_mm(0.5)
+        got = compute_viewing(scene, build_rig(scene, "wanted scene")).pixel_mm(0.5)
         if abs(got / wanted.pixel_mm - 1.0) < _CLOSE:
             return moved
         scale *= wanted.pixel_mm / got
@@ -357,7 +357,7 @@ def _move_cameras(values: Values, viewing: Viewing, wanted: Wanted, base: Scene)
     )
 
 
-def _scaled(values: Values, base: Scene, middle: F64, place: F64, scale: float) -> Values:
+def _scaled(values: _Values, base: Scene, middle: F64, place: F64, scale: float) -> _Values:
     """Scale the distances of the cameras from the volume and from each other."""
     moved = copy.deepcopy(values)
     moved["cameras"]["center_mm"] = (middle + scale * (place - middle)).tolist()
@@ -372,7 +372,7 @@ def _scaled(values: Values, base: Scene, middle: F64, place: F64, scale: float) 
     return moved
 
 
-def _with_crop(values: Values, viewing: Viewing, wanted: Wanted) -> Values:
+def _with_crop(values: _Values, viewing: Viewing, wanted: Wanted) -> _Values:
     """Widen the margin sideways until all cameras see what it leaves."""
     across = [edge for edge in range(3) if edge != viewing.axis]
     size = values["volume"]["size_mm"]
@@ -381,7 +381,7 @@ def _with_crop(values: Values, viewing: Viewing, wanted: Wanted) -> Values:
         for edge in across:
             cropped["grid"]["crop_mm"][edge] = float(share) * min(size[side] for side in across)
         scene = _scene(cropped)
-        if view(scene, build_rig(scene, "wanted scene")).share_scored >= _SCORED:
+        if compute_viewing(scene, build_rig(scene, "wanted scene")).share_scored >= _SCORED:
             return cropped
     raise InputError(
         f"--depth: expected one over which the cameras' views meet, got {wanted.depth_mm:g} mm"

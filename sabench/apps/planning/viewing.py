@@ -205,7 +205,7 @@ class Viewing:
         return float(steps[last] - steps[first])
 
 
-def view(scene: Scene, rig: Rig) -> Viewing:
+def compute_viewing(scene: Scene, rig: Rig) -> Viewing:
     """Find the lines of sight at a volume's middle, and the edge along them."""
     center = np.asarray(scene.volume.center_mm)
     paths = [

@@ -10,7 +10,7 @@ from sabench import tasks
 from sabench.api import Calibration, Velocity
 from sabench.api.truth import Solid
 from sabench.apps.viewer import points as classify
-from sabench.apps.viewer.points import KINDS, Cloud, Estimates, with_velocities
+from sabench.apps.viewer.points import OBJECT_KINDS, Estimates, ObjectCloud, with_velocities
 from sabench.apps.viewer.surroundings import Surroundings
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
@@ -43,13 +43,13 @@ class Frame:
 
     number: int
     time_s: float
-    particles: Cloud
-    bubbles: Cloud
+    particles: ObjectCloud
+    bubbles: ObjectCloud
     solids: tuple[Solid, ...] = ()
 
 
 @dataclass(frozen=True)
-class Contents:
+class PageContents:
     """Everything that a page shows.
 
     Attributes
@@ -81,20 +81,20 @@ class Contents:
         }
 
 
-def _totals(clouds: Sequence[Cloud]) -> dict[str, list[int]]:
-    counts = np.array([cloud.counts() for cloud in clouds]).reshape(-1, len(KINDS))
-    named = zip(KINDS, counts.T, strict=True)
+def _totals(clouds: Sequence[ObjectCloud]) -> dict[str, list[int]]:
+    counts = np.array([cloud.counts() for cloud in clouds]).reshape(-1, len(OBJECT_KINDS))
+    named = zip(OBJECT_KINDS, counts.T, strict=True)
     return {kind: column.tolist() for kind, column in named if column.any()}
 
 
-def of_scene(scene: Scene, source: str) -> Contents:
+def of_scene(scene: Scene, source: str) -> PageContents:
     """Collect the rig of a scene."""
     rig = build_rig(scene, source)
     facts = [("scene", source), *_rig_facts(rig.cameras, rig.grid)]
-    return Contents(scene.title, tuple(facts), _surround(rig.cameras, rig.grid, scene))
+    return PageContents(scene.title, tuple(facts), _surround(rig.cameras, rig.grid, scene))
 
 
-def of_cameras(cameras: Sequence[CameraModel], grid: Grid | None, source: str) -> Contents:
+def of_cameras(cameras: Sequence[CameraModel], grid: Grid | None, source: str) -> PageContents:
     """Collect calibrated cameras; their volume is a grid's, or the box that all see.
 
     Raises
@@ -107,10 +107,10 @@ def of_cameras(cameras: Sequence[CameraModel], grid: Grid | None, source: str) -
     notes = () if grid is not None else ("The volume is the box that all cameras see.",)
     facts = [("cameras", source), *_rig_facts(cameras, grid)]
     surroundings = Surroundings(tuple(cameras), low, high, scored)
-    return Contents(f"Cameras of {source}", tuple(facts), surroundings, notes=notes)
+    return PageContents(f"Cameras of {source}", tuple(facts), surroundings, notes=notes)
 
 
-def of_dataset(data: Dataset, result: Result | None = None) -> Contents:
+def of_dataset(data: Dataset, result: Result | None = None) -> PageContents:
     """Collect a data set's truth, or a result of it next to the truth.
 
     A data set without truth shows its images and what the result has.
@@ -132,7 +132,7 @@ def of_dataset(data: Dataset, result: Result | None = None) -> Contents:
     facts = [("data set", f"{data.root.resolve().name}, {origin}, {truth}")]
     if result is not None:
         facts += [("result", f"{result.path.name}, {result.solver}, task {result.task}")]
-    return Contents(
+    return PageContents(
         title,
         (*facts, *_rig_facts(setup.cameras, setup.grid)),
         _surround(cameras, setup.grid, scene, () if estimates is None else estimates.cameras),
@@ -147,14 +147,14 @@ def of_dataset(data: Dataset, result: Result | None = None) -> Contents:
 
 def _frame(data: Dataset, number: int, estimates: Estimates | None) -> Frame:
     """Collect a frame: the estimates of a result, and the truth of everything else."""
-    nothing = Cloud.of_kind(np.zeros((0, 3)), 0)
+    nothing = ObjectCloud.of_kind(np.zeros((0, 3)), 0)
     particles = None if estimates is None else estimates.particles(number)
     bubbles = None if estimates is None else estimates.bubbles(number)
     solids: tuple[Solid, ...] = ()
     if data.has_truth:
         world = data.scene.world
         if particles is None and data.shows_target:
-            particles = classify.target_points(data, number)
+            particles = classify.read_target_points(data, number)
         elif particles is None and "particles" in data.shows:
             particles = classify.true_particles(data, number)
         if isinstance(world, BubbleWorld):

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from sabench.algorithms.bubbles.backlit_images import transmission
 from sabench.algorithms.refocus import find_edge_on, refocus_on_surface, refocus_sum
 from sabench.api import Observation
-from sabench.apps.viewer.contents import Contents, Frame
-from sabench.apps.viewer.points import KINDS, Cloud, link_to_earlier, shown_share, thin
+from sabench.apps.viewer.contents import Frame, PageContents
+from sabench.apps.viewer.points import OBJECT_KINDS, ObjectCloud, link_to_earlier, shown_share, thin
 from sabench.apps.viewer.surroundings import Surroundings, rounded
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import image_name
@@ -50,7 +50,7 @@ class Planes:
 
 
 @dataclass(frozen=True)
-class Stack:
+class PlaneStack:
     """Planes of the volume as pictures (plane, row, column) of grey values."""
 
     name: str
@@ -126,7 +126,7 @@ def _grey(values: F32, low: float, high: float, gamma: float) -> U8:
     return np.asarray(np.rint(255.0 * share**gamma), dtype=np.uint8)
 
 
-def refocused_stack(data: Dataset, frame: int) -> Stack:
+def refocused_stack(data: Dataset, frame: int) -> PlaneStack:
     """Refocus a frame on planes through the volume, at right angles to the view."""
     case, backlit = data.observation(frame), is_bright(data)
     images = transmission(case) if backlit else case.normalised_images()
@@ -137,10 +137,10 @@ def refocused_stack(data: Dataset, frame: int) -> Stack:
         planes, place = _plane_by_plane(case, images, axis, sign)
     low, high = np.percentile(planes, [1.0 if backlit else _DARKEST, _BRIGHTEST])
     grey = _grey(planes, float(low), float(high), 1.0 if backlit else _GAMMA)
-    return Stack("refocused images", place, grey)
+    return PlaneStack("refocused images", place, grey)
 
 
-def volume_stack(volume: F32, grid: Grid) -> Stack:
+def volume_stack(volume: F32, grid: Grid) -> PlaneStack:
     """Join the planes of a reconstruction (z, y, x) to as many as a page holds."""
     thick = -(-volume.shape[0] // _PLANES)
     block = -(-max(volume.shape[1:]) // _SLICE_PX)
@@ -152,7 +152,7 @@ def volume_stack(volume: F32, grid: Grid) -> Stack:
     # find the value shown as white; few voxels may be bright at all
     bright = joined[joined > 0.0]
     white = float(np.percentile(bright, _BRIGHTEST)) if bright.size else 1.0
-    return Stack("reconstruction", place, _grey(joined, 0.0, white, _GAMMA))
+    return PlaneStack("reconstruction", place, _grey(joined, 0.0, white, _GAMMA))
 
 
 def _viewing_axis(case: Observation) -> tuple[int, int]:
@@ -248,7 +248,7 @@ _USUAL = 95.0  # percentile of speeds that has the brightest colour
 _PICTURES_BYTES = 5_000_000
 
 
-def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
+def encode_contents(contents: PageContents) -> tuple[dict[str, Any], str, list[str]]:
     """Describe contents for the page.
 
     Returns the values, the arrays as text, and sentences on what is left out.
@@ -266,7 +266,7 @@ def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
     values = {
         "title": contents.title,
         "facts": contents.facts,
-        "kinds": KINDS,
+        "kinds": OBJECT_KINDS,
         "labels": contents.labels,
         "rig": contents.surroundings.describe(),
         "share": share,
@@ -282,7 +282,7 @@ def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
     return values, packer.text(), [*contents.notes, *notes]
 
 
-def _leave_out_far(contents: Contents) -> tuple[list[Frame], list[str]]:
+def _leave_out_far(contents: PageContents) -> tuple[list[Frame], list[str]]:
     """Drop particles far outside the volume, and say how many."""
     around = contents.surroundings
     size = around.high_mm - around.low_mm
@@ -297,7 +297,9 @@ def _leave_out_far(contents: Contents) -> tuple[list[Frame], list[str]]:
     return frames, [text] if dropped else []
 
 
-def _frames(frames: Sequence[Frame], shown: Sequence[Cloud], packer: Packer) -> dict[str, Any]:
+def _frames(
+    frames: Sequence[Frame], shown: Sequence[ObjectCloud], packer: Packer
+) -> dict[str, Any]:
     if not frames:
         return {"frames": []}
     every = [*shown, *(frame.bubbles for frame in frames)]
@@ -345,7 +347,12 @@ def _box(positions_mm: Sequence[F64]) -> tuple[F64, F64]:
 
 
 def _particles(
-    cloud: Cloud, earlier: Cloud | None, low: F64, size: F64, fastest: float, packer: Packer
+    cloud: ObjectCloud,
+    earlier: ObjectCloud | None,
+    low: F64,
+    size: F64,
+    fastest: float,
+    packer: Packer,
 ) -> dict[str, Any]:
     levels = np.rint((cloud.position_mm - low) / size * _LEVELS)
     return {
@@ -357,7 +364,7 @@ def _particles(
     }
 
 
-def _bubbles(cloud: Cloud, fastest: float, packer: Packer) -> dict[str, Any]:
+def _bubbles(cloud: ObjectCloud, fastest: float, packer: Packer) -> dict[str, Any]:
     shapes = np.zeros((0, 3, 3)) if cloud.shape_mm is None else cloud.shape_mm
     return {
         "count": len(cloud),
@@ -368,13 +375,13 @@ def _bubbles(cloud: Cloud, fastest: float, packer: Packer) -> dict[str, Any]:
     }
 
 
-def _short_velocities(cloud: Cloud, fastest: float) -> Any:
+def _short_velocities(cloud: ObjectCloud, fastest: float) -> Any:
     """Scale velocities to 16 bits; unknown ones have the lowest number."""
     steps = np.rint(cloud.velocity_mm_s / fastest * _STEPS)
     return np.where(np.isfinite(steps), steps, -_STEPS - 1).astype(np.int16)
 
 
-def _describe_views(contents: Contents, notes: list[str]) -> dict[str, Any]:
+def _describe_views(contents: PageContents, notes: list[str]) -> dict[str, Any]:
     """Describe the cameras' images, projections into them and stacks of planes."""
     maps = projections(contents.surroundings)
     data = contents.data
@@ -388,7 +395,7 @@ def _describe_views(contents: Contents, notes: list[str]) -> dict[str, Any]:
     return {"maps": maps, "pictures": pictures, "stacks": described}
 
 
-def _stacks(contents: Contents, data: Dataset, notes: list[str]) -> list[Stack]:
+def _stacks(contents: PageContents, data: Dataset, notes: list[str]) -> list[PlaneStack]:
     """Make the stacks of planes of the first frame."""
     stacks = []
     if not data.shows_target:

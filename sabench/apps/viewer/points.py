@@ -16,20 +16,20 @@ from sabench.api import Calibration, Detections, FoundParticles, Reconstruction,
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
 from sabench.geometry.camera_model import CameraModel
-from sabench.metrics.bubble_detection import AnyBubbles, match
+from sabench.metrics.bubble_detection import AnyBubbles, match_bubbles
 from sabench.metrics.particle_detection import challenge_pairs, detect_peaks, mark_duplicates
 from sabench.tasks.velocimetry import truth_at
 from sabench.utils.arrays import F32, F64, I64, U8, Bool
 from sabench.utils.rng import stream
 
 # the page draws them in this order, the errors last and so above the others
-KINDS = ("true", "found", "missed", "ghost", "duplicate")
-TRUE, FOUND, MISSED, GHOST, DUPLICATE = range(len(KINDS))
+OBJECT_KINDS = ("true", "found", "missed", "ghost", "duplicate")
+TRUE, FOUND, MISSED, GHOST, DUPLICATE = range(len(OBJECT_KINDS))
 _OF_TRUTH = (TRUE, MISSED)
 
 
 @dataclass(frozen=True)
-class Cloud:
+class ObjectCloud:
     """Particles or bubbles at one instant.
 
     Attributes
@@ -60,7 +60,7 @@ class Cloud:
         trajectory: I64 | None = None,
         velocity_mm_s: F64 | None = None,
         shape_mm: F64 | None = None,
-    ) -> Cloud:
+    ) -> ObjectCloud:
         """Make a cloud; what is not known is None."""
         count = len(position_mm)
         kinds = np.broadcast_to(np.asarray(kind, dtype=np.uint8), (count,)).copy()
@@ -68,12 +68,12 @@ class Cloud:
         velocity = np.full((count, 3), np.nan) if velocity_mm_s is None else velocity_mm_s
         return cls(np.asarray(position_mm, np.float64), kinds, numbers, velocity, shape_mm)
 
-    def __add__(self, other: Cloud) -> Cloud:
+    def __add__(self, other: ObjectCloud) -> ObjectCloud:
         """Join two clouds of the same objects."""
         shapes = None
         if self.shape_mm is not None and other.shape_mm is not None:
             shapes = np.concatenate([self.shape_mm, other.shape_mm])
-        return Cloud(
+        return ObjectCloud(
             np.concatenate([self.position_mm, other.position_mm]),
             np.concatenate([self.kind, other.kind]),
             np.concatenate([self.trajectory, other.trajectory]),
@@ -81,9 +81,9 @@ class Cloud:
             shapes,
         )
 
-    def select(self, chosen: Bool | I64) -> Cloud:
+    def select(self, chosen: Bool | I64) -> ObjectCloud:
         """Select some of the objects."""
-        return Cloud(
+        return ObjectCloud(
             self.position_mm[chosen],
             self.kind[chosen],
             self.trajectory[chosen],
@@ -93,10 +93,10 @@ class Cloud:
 
     def counts(self) -> list[int]:
         """Count the objects of each kind."""
-        return [int(count) for count in np.bincount(self.kind, minlength=len(KINDS))]
+        return [int(count) for count in np.bincount(self.kind, minlength=len(OBJECT_KINDS))]
 
 
-def link_to_earlier(cloud: Cloud, earlier: Cloud | None) -> I64:
+def link_to_earlier(cloud: ObjectCloud, earlier: ObjectCloud | None) -> I64:
     """Find the row (n,) of each object in the frame before; -1 where it has none."""
     rows = np.full(len(cloud), -1, dtype=np.int64)
     if earlier is None:
@@ -113,7 +113,7 @@ def link_to_earlier(cloud: Cloud, earlier: Cloud | None) -> I64:
     return rows
 
 
-def with_velocities(clouds: Sequence[Cloud], times_s: Sequence[float]) -> list[Cloud]:
+def with_velocities(clouds: Sequence[ObjectCloud], times_s: Sequence[float]) -> list[ObjectCloud]:
     """Fill in unknown velocities from the positions in the frame before, or after."""
     velocities = [cloud.velocity_mm_s.copy() for cloud in clouds]
     for number in range(1, len(clouds)):
@@ -127,30 +127,30 @@ def with_velocities(clouds: Sequence[Cloud], times_s: Sequence[float]) -> list[C
     return [replace(cloud, velocity_mm_s=v) for cloud, v in zip(clouds, velocities, strict=True)]
 
 
-def true_particles(data: Dataset, frame: int) -> Cloud:
+def true_particles(data: Dataset, frame: int) -> ObjectCloud:
     """Read the true particles of a frame."""
     true = data.particles(frame)
-    return Cloud.of_kind(true.position_mm, TRUE, true.id, true.velocity_mm_s)
+    return ObjectCloud.of_kind(true.position_mm, TRUE, true.id, true.velocity_mm_s)
 
 
-def true_bubbles(data: Dataset, frame: int) -> Cloud:
+def true_bubbles(data: Dataset, frame: int) -> ObjectCloud:
     """Read the true bubbles of a frame."""
     true = data.bubbles(frame)
-    return Cloud.of_kind(true.center_mm, TRUE, true.id, true.velocity_mm_s, _shapes(true))
+    return ObjectCloud.of_kind(true.center_mm, TRUE, true.id, true.velocity_mm_s, _shapes(true))
 
 
-def target_points(data: Dataset, frame: int) -> Cloud:
+def read_target_points(data: Dataset, frame: int) -> ObjectCloud:
     """Read the true points of a calibration target."""
     points = data.placed().points_mm[frame]
-    return Cloud.of_kind(points, TRUE)
+    return ObjectCloud.of_kind(points, TRUE)
 
 
-def classify_particles(found: FoundParticles, data: Dataset, frame: int) -> Cloud:
+def classify_particles(found: FoundParticles, data: Dataset, frame: int) -> ObjectCloud:
     """Mark found particles and true ones by the rule of the LPT challenge.
 
     Without truth, all particles are of the kind FOUND.
     """
-    estimate = Cloud.of_kind(found.position_mm, FOUND, found.trajectory, found.velocity_mm_s)
+    estimate = ObjectCloud.of_kind(found.position_mm, FOUND, found.trajectory, found.velocity_mm_s)
     if not data.has_truth:
         return estimate
     grid, true = data.setup.grid, true_particles(data, frame)
@@ -161,7 +161,7 @@ def classify_particles(found: FoundParticles, data: Dataset, frame: int) -> Clou
     return _join(estimate, true, i, j)
 
 
-def find_peaks(found: Reconstruction, data: Dataset) -> FoundParticles:
+def _find_peaks(found: Reconstruction, data: Dataset) -> FoundParticles:
     """Return a reconstruction's own particles, or the local maxima of its volume."""
     if found.particles_mm is not None:
         return FoundParticles(found.particles_mm)
@@ -170,37 +170,37 @@ def find_peaks(found: Reconstruction, data: Dataset) -> FoundParticles:
     return FoundParticles(np.asarray(grid.low_mm) + peaks * np.asarray(grid.voxel_mm))
 
 
-def classify_bubbles(found: Detections, data: Dataset, frame: int) -> Cloud:
+def classify_bubbles(found: Detections, data: Dataset, frame: int) -> ObjectCloud:
     """Mark found bubbles and true ones by the rule of the task; see `match`."""
     kind = GHOST if data.has_truth else FOUND
-    estimate = Cloud.of_kind(found.center_mm, kind, found.trajectory, shape_mm=_shapes(found))
+    estimate = ObjectCloud.of_kind(found.center_mm, kind, found.trajectory, shape_mm=_shapes(found))
     if not data.has_truth:
         return estimate
     true = true_bubbles(data, frame)
-    pairs = match(found.center_mm, true.position_mm, data.bubbles(frame).radius_mm)
+    pairs = match_bubbles(found.center_mm, true.position_mm, data.bubbles(frame).radius_mm)
     return _join(estimate, true, *pairs)
 
 
-def place_vectors(field: Velocity, data: Dataset, pair: tuple[int, int]) -> Cloud:
+def place_vectors(field: Velocity, data: Dataset, pair: tuple[int, int]) -> ObjectCloud:
     """Place measured vectors and, where they are known, the true ones on a lattice."""
     nodes, vectors = field.positions_mm.reshape(-1, 3), field.velocity_mm_s.reshape(-1, 3)
     kind: U8 = np.where(field.valid.ravel(), FOUND, GHOST).astype(np.uint8)
-    measured = Cloud.of_kind(nodes, kind, velocity_mm_s=vectors)
+    measured = ObjectCloud.of_kind(nodes, kind, velocity_mm_s=vectors)
     if not data.has_truth:
         return measured
     exact = truth_at(data, pair, field).reshape(-1, 3)
-    return Cloud.of_kind(nodes, TRUE, velocity_mm_s=exact) + measured
+    return ObjectCloud.of_kind(nodes, TRUE, velocity_mm_s=exact) + measured
 
 
-def place_target(found: Calibration, data: Dataset, frame: int) -> Cloud:
+def place_target(found: Calibration, data: Dataset, frame: int) -> ObjectCloud:
     """Place a target's true points, and the estimated ones if there are any."""
-    true = target_points(data, frame) if data.has_truth and data.shows_target else None
+    true = read_target_points(data, frame) if data.has_truth and data.shows_target else None
     points = np.zeros((0, 3)) if found.points_mm is None else found.points_mm[frame]
-    estimate = Cloud.of_kind(points, FOUND)
+    estimate = ObjectCloud.of_kind(points, FOUND)
     return estimate if true is None else true + estimate
 
 
-def _join(estimate: Cloud, true: Cloud, i: I64, j: I64) -> Cloud:
+def _join(estimate: ObjectCloud, true: ObjectCloud, i: I64, j: I64) -> ObjectCloud:
     """Join an estimate and the truth; rows i and j are matched."""
     estimate.kind[i] = FOUND
     true.kind[:] = MISSED
@@ -217,20 +217,20 @@ IN_FRAME, IN_ALL = 200_000, 400_000  # most objects
 _PRIME, _SPAN = 2_654_435_761, 1 << 32  # Knuth's multiplicative hash
 
 
-def shown_share(clouds: Sequence[Cloud]) -> float:
+def shown_share(clouds: Sequence[ObjectCloud]) -> float:
     """Compute the share of the objects of all frames that a page shows."""
     counts = [len(cloud) for cloud in clouds]
     return min(1.0, IN_FRAME / max([1, *counts]), IN_ALL / max(sum(counts), 1))
 
 
-def thin(clouds: Sequence[Cloud], share: float) -> list[Cloud]:
+def thin(clouds: Sequence[ObjectCloud], share: float) -> list[ObjectCloud]:
     """Keep a share of the objects of all kinds, and trajectories intact."""
     if share >= 1.0:
         return list(clouds)
     return [cloud.select(_chosen(cloud, number, share)) for number, cloud in enumerate(clouds)]
 
 
-def _chosen(cloud: Cloud, frame: int, share: float) -> Bool:
+def _chosen(cloud: ObjectCloud, frame: int, share: float) -> Bool:
     """Choose objects by their trajectories; those without one at random."""
     draws = stream(0, "view", frame).random(len(cloud))
     # scatter numbers (n,) over 0 to 1
@@ -269,7 +269,7 @@ class Estimates:
         """Calibrated cameras."""
         return () if self._calibration is None else self._calibration.cameras
 
-    def particles(self, frame: int) -> Cloud | None:
+    def particles(self, frame: int) -> ObjectCloud | None:
         """Read a frame's particles, vectors or points; None where there are none."""
         data, kind = self._data, self._task.estimate
         if kind is FoundParticles:
@@ -282,13 +282,13 @@ class Estimates:
             return place_target(self._calibration, data, frame)
         return None
 
-    def bubbles(self, frame: int) -> Cloud | None:
+    def bubbles(self, frame: int) -> ObjectCloud | None:
         """Read a frame's bubbles; None where there are none."""
         if self._task.estimate is not Detections:
             return None
         return classify_bubbles(self._read(frame), self._data, frame)
 
-    def _of_volume(self, frame: int) -> Cloud | None:
+    def _of_volume(self, frame: int) -> ObjectCloud | None:
         """Read a volume's particles; a volume without particles shows a code."""
         estimate: Reconstruction = self._read(frame)
         if frame == 0:
@@ -296,7 +296,7 @@ class Estimates:
         if self._result.task != "reconstruction":
             return None
         self.peaks = estimate.particles_mm is None
-        peaks = find_peaks(estimate, self._data)
+        peaks = _find_peaks(estimate, self._data)
         return classify_particles(peaks, self._data, frame)
 
     def _read(self, frame: int) -> Any:

@@ -16,8 +16,8 @@ import numpy as np
 from markupsafe import Markup
 from scipy.spatial import ConvexHull, QhullError
 
-from sabench.apps.viewer.contents import Contents, of_cameras, of_dataset, of_scene
-from sabench.apps.viewer.page_content import content_of
+from sabench.apps.viewer.contents import PageContents, of_cameras, of_dataset, of_scene
+from sabench.apps.viewer.page_content import encode_contents
 from sabench.apps.viewer.surroundings import Surroundings
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result, read_dataset_names
@@ -121,9 +121,9 @@ _FOLDER = Path(__file__).with_name("page")
 _SCRIPTS = ("base", "colours", "raster", "space", "rig", "objects", "planes", "images", "main")
 
 
-def render(contents: Contents) -> tuple[str, list[str]]:
+def render_contents(contents: PageContents) -> tuple[str, list[str]]:
     """Render contents as a self-contained page; say also what is left out."""
-    values, arrays, notes = content_of(contents)
+    values, arrays, notes = encode_contents(contents)
     content = {
         "title": contents.title,
         "facts": contents.facts,
@@ -146,7 +146,7 @@ def _library() -> str:
     return escape_code((_FOLDER / "three.min.js").read_text(encoding="utf-8"))
 
 
-def _count_rows(contents: Contents) -> list[tuple[str, list[int]]]:
+def _count_rows(contents: PageContents) -> list[tuple[str, list[int]]]:
     """List the kinds of particles and bubbles with their numbers in every frame."""
     return [
         (f"{sort}: {contents.labels.get(kind, kind)}", numbers)
@@ -155,7 +155,7 @@ def _count_rows(contents: Contents) -> list[tuple[str, list[int]]]:
     ]
 
 
-def _camera_rows(contents: Contents) -> list[tuple[str, str, Any]]:
+def _camera_rows(contents: PageContents) -> list[tuple[str, str, Any]]:
     """List name, position and image size of each camera."""
     return [
         (
@@ -221,7 +221,7 @@ def view(source: Scene | Dataset | str | Path, result: str | Path | None = None)
         Something else, a result of another data set, or none where it is looked for.
     """
     contents = _collect(source, result)
-    html, notes = render(contents)
+    html, notes = render_contents(contents)
     summary = {
         "cameras": len(contents.surroundings.cameras),
         "frames": len(contents.frames),
@@ -232,7 +232,7 @@ def view(source: Scene | Dataset | str | Path, result: str | Path | None = None)
     return View(html, tuple(notes), summary)
 
 
-def _collect(source: Scene | Dataset | str | Path, result: str | Path | None) -> Contents:
+def _collect(source: Scene | Dataset | str | Path, result: str | Path | None) -> PageContents:
     if result is not None and isinstance(source, Scene):
         raise InputError(f"{source.title}: expected the data set of {result}, got a scene")
     if isinstance(source, Scene):
@@ -250,7 +250,7 @@ def _collect(source: Scene | Dataset | str | Path, result: str | Path | None) ->
     return of_scene(load_scene(source), str(source))
 
 
-def _of_dataset(source: Dataset | str | Path, result: str | Path | None) -> Contents:
+def _of_dataset(source: Dataset | str | Path, result: str | Path | None) -> PageContents:
     """Collect a data set and a result, after probing the files of both."""
     if not isinstance(source, Dataset):
         probe_dataset(Path(source))

@@ -16,7 +16,7 @@ from sabench.utils.validation import validate
 FORMAT, VERSION = "sabench-baseline", 1
 DATA = "data set"  # in place of a solver for the figures of the data set itself
 TIMES = ("seconds", "reconstruction_s")
-COSTS = (*TIMES, "peak_mb")
+COMPARED_COSTS = (*TIMES, "peak_mb")
 QUALITY = "quality."  # begins the names of figures that need no truth
 
 

@@ -20,7 +20,7 @@ from sabench import tasks
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.evaluation.gates.baseline import (
-    COSTS,
+    COMPARED_COSTS,
     DATA,
     QUALITY,
     TIMES,
@@ -219,7 +219,7 @@ def _exceeds_tolerance(earlier: Entry, entry: Entry, tolerances: Tolerances, tas
     now = scale_times(entry, earlier).figures
     pairs = [
         (key, old, new)
-        for key in COSTS
+        for key in COMPARED_COSTS
         if (old := earlier.figures.get(key)) is not None and (new := now.get(key)) is not None
     ]
     return any(
@@ -237,14 +237,14 @@ def _cheaper(first: Entry, other: Entry) -> Entry:
     here = scale_times(first, other)
     least = {
         key: min(a, b)
-        for key in COSTS
+        for key in COMPARED_COSTS
         if (a := here.figures.get(key)) is not None and (b := other.figures.get(key)) is not None
     }
     return other.model_copy(update={"figures": other.figures | least})
 
 
 @dataclass(frozen=True)
-class Report:
+class GateReport:
     """Result of a gate.
 
     `worse` makes it fail, `news` does not; `now` is the baseline that this run would make, and
@@ -285,7 +285,7 @@ def check(
     update: bool = False,
     solvers: Sequence[str | SolverEntry] = (),
     exit_first: bool = False,
-) -> Report:
+) -> GateReport:
     """Compare a suite with a baseline file.
 
     The default is the suite's bundled baseline, or SUITE.baseline.json next to a suite of one's
@@ -326,7 +326,7 @@ def _compare_suite(
     *,
     solvers: Sequence[SolverEntry] = (),
     exit_first: bool = False,
-) -> Report:
+) -> GateReport:
     """Run a suite on new data sets and compare it with a baseline, if there is one.
 
     Parameters
@@ -371,7 +371,7 @@ def _compare_suite(
         tolerances=_tolerances(before, cases, entries),
         cases=tuple(entries),
     )
-    return Report(
+    return GateReport(
         name,
         tuple(finding for finding in findings if finding.worse),
         tuple(finding for finding in findings if not finding.worse),
@@ -459,7 +459,7 @@ def _tolerances(
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def write_junit(path: Path, report: Report) -> None:
+def write_junit(path: Path, report: GateReport) -> None:
     """Write one test case for each data set and each solver on it.
 
     They are in the suite's order. Everything that got worse is a failure, news are output.
@@ -470,7 +470,7 @@ def write_junit(path: Path, report: Report) -> None:
         )
 
 
-def junit(report: Report) -> ElementTree.Element:
+def junit(report: GateReport) -> ElementTree.Element:
     """Build the root element of the XML."""
     suite = ElementTree.Element("testsuite", name=f"sabench check {report.suite}")
     places = [

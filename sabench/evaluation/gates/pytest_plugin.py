@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from sabench.evaluation.gates.comparison import Report
+    from sabench.evaluation.gates.comparison import GateReport
 
 Check = Callable[..., "Report"]
 
@@ -64,7 +64,7 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
 
     def run(
         suite: str, baseline: str | Path, solvers: Sequence[str | Mapping[str, Any]] = ()
-    ) -> Report:
+    ) -> GateReport:
         from sabench.evaluation.gates.comparison import check as compare
         from sabench.evaluation.suites import SolverEntry
         from sabench.utils.errors import InputError

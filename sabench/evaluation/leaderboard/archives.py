@@ -35,15 +35,15 @@ _PIECE = 1 << 20
 _ENDING = ".h5"
 
 
-Files = list[tuple[str, Path]]
+_Files = list[tuple[str, Path]]
 
 
 @dataclass(frozen=True)
 class Submitted:
     """Names and paths of the files of a submission, sorted."""
 
-    results: Files
-    cards: Files
+    results: _Files
+    cards: _Files
 
 
 @dataclass(frozen=True)
@@ -93,14 +93,14 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
         yield Submitted([(path.name, path)], [])
 
 
-def _sort_files(files: Files, path: Path) -> Submitted:
+def _sort_files(files: _Files, path: Path) -> Submitted:
     results = sorted(entry for entry in files if entry[0].endswith(_ENDING))
     if not results:
         raise InputError(f"{path}: expected result files, whose names end in {_ENDING}, found none")
     return Submitted(results, sorted(entry for entry in files if entry not in results))
 
 
-def _unpack(path: Path, folder: Path) -> Files:
+def _unpack(path: Path, folder: Path) -> _Files:
     """Unpack the archive's results and cards into `folder`, with numbers as names.
 
     No name of the archive becomes a name on the disk.
@@ -269,7 +269,7 @@ def pack_results(
         Another ending of the archive's name, a file that is no result, a bad card, or a card that
         belongs to no result.
     """
-    check_name(out)
+    check_archive_name(out)
     by_solver = read_cards(files.cards, cards)
     for _, file in files.results:
         probe(file)
@@ -283,7 +283,7 @@ def pack_results(
     return len(files.results), list(by_solver)
 
 
-def check_name(out: Path) -> None:
+def check_archive_name(out: Path) -> None:
     """Refuse a name that is not one of a zip archive."""
     if out.suffix != ".zip":
         raise InputError(f"{out}: expected a name that ends in .zip for an archive of results")

@@ -11,7 +11,12 @@ from functools import cache
 from pathlib import Path
 
 from sabench import plugins, tasks
-from sabench.evaluation.leaderboard.page_content import cases_of, content_of, table_of, with_figures
+from sabench.evaluation.leaderboard.page_content import (
+    cases_of,
+    describe_cases,
+    table_of,
+    with_figures,
+)
 from sabench.evaluation.leaderboard.standings import front_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
@@ -107,7 +112,7 @@ _SCRIPTS = (
 )
 
 
-def render(rows: Sequence[Record], pictures: Path) -> str:
+def _render(rows: Sequence[Record], pictures: Path) -> str:
     """Render rows of `over_seeds` as a page.
 
     `pictures` holds the folders that the records name; figures outside it are left out.
@@ -121,7 +126,7 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
         "version": __version__,
         "date": max(dates, default=""),
         "static": static,
-        "data": inline_json(content_of(cases) | front | {"leftOut": left_out}),
+        "data": inline_json(describe_cases(cases) | front | {"leftOut": left_out}),
         "albums": {number: inline_json(album) for number, album in albums.items()},
     }
     code = inline_code(folder / "page", _SCRIPTS, library())
@@ -204,6 +209,6 @@ def build_page(records: list[Record], pictures: Path, out: Path) -> None:
 
     `pictures` holds the folders that the records name; figures outside it are left out.
     """
-    text = render(over_seeds(records), pictures)
+    text = _render(over_seeds(records), pictures)
     with complete_or_nothing(out, overwrite=True) as partial:
         partial.write_text(text, encoding="utf-8")

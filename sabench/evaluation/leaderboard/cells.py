@@ -111,7 +111,7 @@ class ComparedCase:
         return self._runs[entry]
 
 
-def compare(results: Sequence[Result]) -> ComparedCase:
+def compare_results(results: Sequence[Result]) -> ComparedCase:
     """Select the data sets for the comparison of the results of one case.
 
     They are those of the run with the most seeds: an entry with fewer is incomplete, so that one

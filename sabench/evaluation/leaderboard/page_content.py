@@ -18,7 +18,7 @@ from sabench.tasks.task import COSTS, Score, Task
 from sabench.utils.confidence import Mean, mean_of, quantile
 
 
-class Table(NamedTuple):
+class ScoreTable(NamedTuple):
     """Table of a task: of scores, or of figures without truth."""
 
     task: Task
@@ -37,14 +37,14 @@ class Table(NamedTuple):
         return (*FIGURES_OF.get(self.task.name, ()), *(cost for cost in COSTS if not cost.hidden))
 
 
-def every_table() -> list[Table]:
+def every_table() -> list[ScoreTable]:
     """List the tables of all tasks in the order of the leaderboard."""
-    return [Table(task, recorded) for task in tasks.every() for recorded in (False, True)]
+    return [ScoreTable(task, recorded) for task in tasks.every() for recorded in (False, True)]
 
 
-def table_of(record: Record) -> Table:
+def table_of(record: Record) -> ScoreTable:
     """Return the table of a record."""
-    return Table(tasks.of(record["task"]), bool(record.get("recorded")))
+    return ScoreTable(tasks.of(record["task"]), bool(record.get("recorded")))
 
 
 def with_figures(record: Record) -> Record:
@@ -72,7 +72,7 @@ def cases_of(rows: Sequence[Record]) -> list[list[Record]]:
     return [list(group) for _, group in groupby(shown, lambda row: key_of(row, _CASE))]
 
 
-def content_of(cases: Sequence[Sequence[Record]]) -> dict[str, Any]:
+def describe_cases(cases: Sequence[Sequence[Record]]) -> dict[str, Any]:
     """Describe cases and their rows for the page."""
     pool, shown = _Pool(), {table_of(row).name for case in cases for row in case}
     # compute Student's quantiles for 1, 2, ... degrees of freedom. The page uses them for intervals
@@ -127,7 +127,7 @@ def rank_of(row: Record) -> tuple[bool, bool, float]:
     return (bool(row["error"]), *task.rank({task.columns[0].key: first.mean if first else None}))
 
 
-def _table(table: Table) -> dict[str, Any]:
+def _table(table: ScoreTable) -> dict[str, Any]:
     """Describe a table for the page: its columns and the captions of its figures."""
     columns = [
         {

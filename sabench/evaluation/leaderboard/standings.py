@@ -16,7 +16,7 @@ from sabench import plugins, tasks
 from sabench.evaluation.leaderboard.cells import (
     Cell,
     Result,
-    compare,
+    compare_results,
     fill_column,
     mean_rank,
     newest,
@@ -47,7 +47,7 @@ Facts = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Curve:
+class _CaseSeries:
     """Cases that differ in one property alone.
 
     Attributes
@@ -63,7 +63,7 @@ class Curve:
     points: tuple[tuple[float, int], ...]
 
 
-def curves_of(cases: Sequence[Sequence[Record]]) -> list[Curve]:
+def curves_of(cases: Sequence[Sequence[Record]]) -> list[_CaseSeries]:
     """Find all curves among cases, as the page has them.
 
     Scenes of bundled suites are compared by all their facts, other cases by their varied values.
@@ -75,7 +75,7 @@ def curves_of(cases: Sequence[Sequence[Record]]) -> list[Curve]:
         if not table_of(head).recorded and (facts := _facts(head, bundled)):
             groups.setdefault(key_of(head, _GROUP), {})[place] = facts
     return [
-        Curve(
+        _CaseSeries(
             cases[points[0][1]][0]["task"], _QUANTITIES.get(key, key), key in _LOGARITHMIC, points
         )
         for group in groups.values()
@@ -228,7 +228,7 @@ def _board(results: list[Result]) -> Board:
     task_name, suite, renderer, split = _group(results[0])
     task, cases = tasks.of(task_name), _newest_cases(results)
     grouped = _columns(cases)
-    compared = {number: compare(of_case) for number, of_case in cases.items()}
+    compared = {number: compare_results(of_case) for number, of_case in cases.items()}
     columns, cells, names = [], list[dict[str, Cell]](), list[dict[str, Hashable]]()
     for name, numbers in grouped:
         members = [compared[number] for number in numbers]

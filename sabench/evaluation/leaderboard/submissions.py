@@ -165,7 +165,7 @@ def submit(
     UncheckedError
         A file could not be checked in the time for it.
     """
-    check_name(name)
+    _check_name(name)
     submission = {
         "name": name.strip(),
         "date": (date or datetime.datetime.now(datetime.UTC).date()).isoformat(),
@@ -199,7 +199,7 @@ def submit(
     return [standing(record, every) for record in records]
 
 
-def check_name(name: str) -> None:
+def _check_name(name: str) -> None:
     """Refuse a name that is empty, too long or cannot be printed."""
     if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
         raise InputError(

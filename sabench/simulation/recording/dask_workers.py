@@ -7,7 +7,7 @@ from typing import Any
 from dask import config
 from distributed import Client, wait
 
-from sabench.simulation.recording.schedule import Outcome, Task
+from sabench.simulation.recording.schedule import Outcome, RecordingTask
 from sabench.simulation.recording.worker import run_task
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
@@ -32,7 +32,7 @@ class DaskPool:
                 raise InputError(
                     f"scheduler: expected a Dask scheduler at {address}, got {got}"
                 ) from error
-        self._tasks: dict[Any, tuple[Hashable, Task]] = {}
+        self._tasks: dict[Any, tuple[Hashable, RecordingTask]] = {}
 
     @property
     def ahead(self) -> int:
@@ -44,7 +44,7 @@ class DaskPool:
         busy = {worker for worker, _ in self._tasks.values()}
         return [address for address in self._addresses() if address not in busy]
 
-    def give(self, worker: Hashable, task: Task) -> None:
+    def give(self, worker: Hashable, task: RecordingTask) -> None:
         """Submit a task to a worker; Dask gives it to another one if that worker dies."""
         future = self._client.submit(
             _run_task,
@@ -88,4 +88,4 @@ class DaskPool:
 
 
 def _run_task(root: str, frame: int, camera: int | None) -> None:
-    run_task(root, Task(frame, camera))
+    run_task(root, RecordingTask(frame, camera))

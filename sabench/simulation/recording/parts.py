@@ -19,7 +19,7 @@ import numpy as np
 from sabench.api.arrays import Arrays
 from sabench.api.truth import Truth
 from sabench.dataset import schema
-from sabench.dataset.arrays import AnyArrays, Named, group_of, name_of, named_arrays, read_arrays
+from sabench.dataset.arrays import AnyArrays, Named, group_of, name_of, named_arrays, read_declared
 from sabench.images.tiff_exr import write_exr, write_tiff
 from sabench.scenes import Scene, parse_scene
 from sabench.utils.arrays import F32, U16
@@ -94,7 +94,7 @@ _DAMAGED = (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zli
 
 
 @dataclass(frozen=True)
-class Taken:
+class CameraPart:
     """One camera's part of a frame: its truth, grey values and radiance."""
 
     truth: list[Entry]
@@ -102,7 +102,7 @@ class Taken:
     radiance: F32
 
 
-class Kept(Truth):
+class RecordingArrays(Truth):
     """Base of arrays that serve the recording only."""
 
     GROUP = _KEPT
@@ -131,7 +131,7 @@ class Part:
         group = group_of(kind, frame)
         if name_of(group, kind.ARRAYS[0]) not in self.arrays:
             return None
-        return read_arrays(kind, lambda name, shape, kinds: self.arrays[name], group, "part")
+        return read_declared(kind, lambda name, shape, kinds: self.arrays[name], group, "part")
 
 
 Recall = Callable[[int], Part]  # a frame's part
@@ -173,7 +173,7 @@ class Parts:
         """Read a camera's part of a frame; InputError if it is not there."""
         return _load_needed(self._view(frame, camera))
 
-    def put_view(self, frame: int, camera: str, taken: Taken) -> None:
+    def put_view(self, frame: int, camera: str, taken: CameraPart) -> None:
         """Keep a camera's part of a frame; its truth is written last and completes it."""
         self._check()
         tif, exr = (schema.image_name(camera, frame, suffix) for suffix in ("tif", "exr"))

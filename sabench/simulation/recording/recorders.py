@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.target_detection import detect
+from sabench.algorithms.calibration.target_detection import detect_target
 from sabench.api.arrays import Array
 from sabench.api.truth import (
     Bubbles,
@@ -19,27 +19,34 @@ from sabench.api.truth import (
 from sabench.dataset.writer import DatasetWriter
 from sabench.scenes import Scene, TargetWorld, build_rig
 from sabench.scenes.focusing import nominal_cameras
-from sabench.simulation.camera_view import record_image, render
+from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import FrameContent, Frames
-from sabench.simulation.recording.parts import Entry, Kept, Part, Parts, Recall, Taken
-from sabench.simulation.recording.schedule import Task
+from sabench.simulation.recording.parts import (
+    CameraPart,
+    Entry,
+    Part,
+    Parts,
+    Recall,
+    RecordingArrays,
+)
+from sabench.simulation.recording.schedule import RecordingTask
 from sabench.utils import memory
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.worlds import calibration_targets
-from sabench.worlds.tracers import lattice, material_numbers
+from sabench.worlds.tracers import material_numbers, sample_lattice
 
 
 @dataclass(frozen=True)
 class _State(Particles):
     """All tracers of a frame; the truth holds only those in the fluid."""
 
-    GROUP = f"{Kept.GROUP}/state"
+    GROUP = f"{RecordingArrays.GROUP}/state"
     OF_FRAME = False
 
 
 @dataclass(frozen=True)
-class _Illuminated(Kept):
+class _Illuminated(RecordingArrays):
     """Flags (n,) of the tracers that the laser reaches."""
 
     ARRAYS = (Array("illuminated", ("n",), np.bool_),)
@@ -48,7 +55,7 @@ class _Illuminated(Kept):
 
 
 @dataclass(frozen=True)
-class _Detected(Kept):
+class _Detected(RecordingArrays):
     """Pixels (point, 2) of a target's points in one camera; NaN if undetected."""
 
     ARRAYS = (Array("detected", ("point", 2), finite=False),)
@@ -84,7 +91,7 @@ class Recorder:
         self._last = self._frames.at(number)
         return [*self._truth(self._last), *self._kept(self._last)]
 
-    def view(self, number: int, camera: int, recall: Recall) -> Taken:
+    def view(self, number: int, camera: int, recall: Recall) -> CameraPart:
         """Render one camera's image of a frame, and its truth.
 
         `recall` gives the frame's part.
@@ -99,12 +106,12 @@ class Recorder:
                 None if lit is None else lit.illuminated,
             )
         frame = self._last
-        view = render(frame, camera)
+        view = render_camera_view(frame, camera)
         grey = record_image(frame, view, camera)
         truth: list[Entry] = [
             (part, view.camera.name) for part in (view.sight, view.particles) if part is not None
         ]
-        return Taken(truth, grey, view.radiance().astype(np.float32))
+        return CameraPart(truth, grey, view.radiance().astype(np.float32))
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
         """Store what all parts together make: nothing, for most scenes."""
@@ -122,7 +129,7 @@ class Recorder:
         if frame.pose is not None:
             yield TargetPose(frame.pose.rotation, frame.pose.position_mm), ""
         if step_mm := self._scene.flow_grid_mm:
-            field, gradient = lattice(self._scene, frame.number, step_mm, self._seed)
+            field, gradient = sample_lattice(self._scene, frame.number, step_mm, self._seed)
             yield ExactFlow(field.velocity_mm_s, gradient, field.low_mm, field.step_mm), ""
 
     def _kept(self, frame: FrameContent) -> Iterator[Entry]:
@@ -152,11 +159,11 @@ class TargetRecorder(Recorder):
         self._prior = calibration_targets.prior(scene, placed, seed)
         self.views = len(self.cameras) if renderer == "mitsuba" else 0
 
-    def view(self, number: int, camera: int, recall: Recall) -> Taken:
+    def view(self, number: int, camera: int, recall: Recall) -> CameraPart:
         """Render one camera's image of a frame, and detect the target's points in it."""
         taken = super().view(number, camera, recall)
         expected = self._nominal[camera].project(self._prior.initial_mm[number])[0]
-        found = detect(taken.grey, self._placed.target, expected)
+        found = detect_target(taken.grey, self._placed.target, expected)
         return replace(taken, truth=[*taken.truth, (_Detected(found), "")])
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
@@ -190,7 +197,7 @@ def recorder_of(scene: Scene, seed: int, renderer: str, label: str) -> Recorder:
     return kind(scene, seed, renderer, label)
 
 
-def record_task(recorder: Recorder, parts: Parts, task: Task) -> None:
+def record_task(recorder: Recorder, parts: Parts, task: RecordingTask) -> None:
     """Record a frame's truth or one camera's view of it, unless that is there."""
     if task.camera is None:
         if not parts.has_frame(task.frame):

@@ -20,7 +20,7 @@ TRIES = 3
 
 
 @dataclass(frozen=True)
-class Task:
+class RecordingTask:
     """One frame's truth, or what one camera, counted from 0, records of it."""
 
     frame: int
@@ -36,7 +36,7 @@ class Outcome:
     """End of a worker's task; `failure` is the reason of a failed one."""
 
     worker: Hashable
-    task: Task
+    task: RecordingTask
     failure: str | None = None
 
 
@@ -50,7 +50,7 @@ class WorkerPool(Protocol):
     def idle(self) -> Sequence[Hashable]:
         """Return the workers without a task."""
 
-    def give(self, worker: Hashable, task: Task) -> None:
+    def give(self, worker: Hashable, task: RecordingTask) -> None:
         """Give an idle worker a task."""
 
     def wait(self) -> list[Outcome]:
@@ -74,7 +74,7 @@ class _Frame:
     given: bool = False
     touched: bool = False
     left: int = 0
-    views: deque[Task] = field(default_factory=deque)
+    views: deque[RecordingTask] = field(default_factory=deque)
 
 
 class Schedule:
@@ -92,15 +92,15 @@ class Schedule:
         self.tasks = frames * (1 + cameras)
         self._next, self._reached, self._broken = 0, -1, False
         self._open: dict[int, _Frame] = {}
-        self._tries: dict[Task, int] = {}
-        self.failures: list[tuple[Task, str]] = []
+        self._tries: dict[RecordingTask, int] = {}
+        self.failures: list[tuple[RecordingTask, str]] = []
 
     @property
     def finished(self) -> bool:
         """True if no task is left that can still be done."""
         return not self._open and (self._next == self._frames or self._broken)
 
-    def take(self, last: int | None) -> Task | None:
+    def take(self, last: int | None) -> RecordingTask | None:
         """Return a task for a worker after frame `last`; None if it has to wait."""
         while len(self._open) < self._ahead and self._next < self._frames and not self._broken:
             self._open[self._next] = _Frame()
@@ -111,7 +111,7 @@ class Schedule:
         for number, frame in self._open.items():
             if not frame.given and (not self._chained or number <= self._reached + 1):
                 frame.given = True
-                return Task(number)
+                return RecordingTask(number)
         # then a frame that no worker has recorded from yet, or the one with the most cameras left
         waiting = [frame for frame in self._open.values() if frame.views]
         chosen = next((frame for frame in waiting if not frame.touched), None) or max(
@@ -119,21 +119,21 @@ class Schedule:
         )
         return self._view(chosen) if chosen is not None else None
 
-    def complete(self, task: Task) -> None:
+    def complete(self, task: RecordingTask) -> None:
         """Note that a task has been done."""
         self._tries.pop(task, None)
         frame = self._open[task.frame]
         if task.camera is None:
             frame.made = True
             frame.left = self._cameras
-            frame.views.extend(Task(task.frame, camera) for camera in range(self._cameras))
+            frame.views.extend(RecordingTask(task.frame, camera) for camera in range(self._cameras))
             self._reached = max(self._reached, task.frame)
         else:
             frame.left -= 1
         if not frame.left:
             del self._open[task.frame]
 
-    def fail(self, task: Task, why: str) -> None:
+    def fail(self, task: RecordingTask, why: str) -> None:
         """Note that a task has failed.
 
         It is retried, and given up after `TRIES` attempts.
@@ -155,13 +155,13 @@ class Schedule:
             self._broken = True
             self._open = {number: frame for number, frame in self._open.items() if frame.made}
 
-    def _view(self, frame: _Frame) -> Task:
+    def _view(self, frame: _Frame) -> RecordingTask:
         frame.touched = True
         return frame.views.popleft()
 
 
 def run_schedule(
-    pool: WorkerPool, schedule: Schedule, doing: str, name: Callable[[Task], str] = str
+    pool: WorkerPool, schedule: Schedule, doing: str, name: Callable[[RecordingTask], str] = str
 ) -> None:
     """Have workers do all tasks of a schedule; `name` names one that failed.
 
@@ -203,7 +203,7 @@ class InProcess:
 
     ahead = 1
 
-    def __init__(self, do: Callable[[Task], None]) -> None:
+    def __init__(self, do: Callable[[RecordingTask], None]) -> None:
         self._do = do
         self._ended: list[Outcome] = []
 
@@ -211,7 +211,7 @@ class InProcess:
         """Return this process, unless the outcome of its task has not been fetched yet."""
         return () if self._ended else (0,)
 
-    def give(self, worker: Hashable, task: Task) -> None:
+    def give(self, worker: Hashable, task: RecordingTask) -> None:
         """Do the task."""
         self._do(task)
         self._ended.append(Outcome(worker, task))
@@ -239,7 +239,7 @@ class ProcessPool:
         threads = threads or max(1, (os.cpu_count() or 1) // jobs)
         program = ["-m", "sabench.simulation.recording.worker", str(root), str(threads)]
         self._servers = Servers(program, jobs, threads)
-        self._busy: dict[Hashable, Task] = {}
+        self._busy: dict[Hashable, RecordingTask] = {}
         self.ahead = jobs + 1  # a frame for each, and one for the first that is done
 
     @property
@@ -251,7 +251,7 @@ class ProcessPool:
         """Return the processes without a task, after replacing those that died."""
         return [number for number in self._servers.running() if number not in self._busy]
 
-    def give(self, worker: Hashable, task: Task) -> None:
+    def give(self, worker: Hashable, task: RecordingTask) -> None:
         """Send a process its next task."""
         assert isinstance(worker, int)
         self._busy[worker] = task

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from sabench.simulation.recording.parts import JOB, Parts, read_job
 from sabench.simulation.recording.recorders import record_task, recorder_of
-from sabench.simulation.recording.schedule import Task
+from sabench.simulation.recording.schedule import RecordingTask
 from sabench.simulation.shard_job import PLAN, ShardMaker, read_shard_job
 from sabench.utils import backend
 from sabench.utils.errors import InputError
@@ -23,14 +23,14 @@ from sabench.utils.files import read_json
 _ONE_AT_A_TIME = threading.Lock()  # renderers cannot run in two threads
 
 
-def run_task(root: str, task: Task) -> None:
+def run_task(root: str, task: RecordingTask) -> None:
     """Do one task of the job in a folder, unless its result is there."""
     with _ONE_AT_A_TIME:
         _open(root)(task)
 
 
 @functools.lru_cache(maxsize=1)
-def _open(root: str) -> Callable[[Task], None]:
+def _open(root: str) -> Callable[[RecordingTask], None]:
     folder = Path(root)
     if (folder / PLAN).is_file():
         return ShardMaker(read_shard_job(folder), folder)
@@ -47,15 +47,19 @@ def _main() -> None:
 
         cv2.setNumThreads(threads)  # OpenCV and Mitsuba do not read the number in the environment
         if read_json(Path(root) / JOB)["renderer"] == "mitsuba":
-            backend.limit(threads)
+            backend.limit_threads(threads)
         for line in sys.stdin:
             try:
-                print(json.dumps(_try(root, Task(*json.loads(line)))), file=answers, flush=True)
+                print(
+                    json.dumps(_try(root, RecordingTask(*json.loads(line)))),
+                    file=answers,
+                    flush=True,
+                )
             except BrokenPipeError:  # the parent process has been killed
                 return
 
 
-def _try(root: str, task: Task) -> tuple[str, str | None]:
+def _try(root: str, task: RecordingTask) -> tuple[str, str | None]:
     try:
         run_task(root, task)
     except InputError as error:

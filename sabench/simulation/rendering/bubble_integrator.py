@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.simulation.rendering.bubble_stage import Panel, Stack, Stage
+from sabench.simulation.rendering.bubble_stage import LightPanel, Stack, Stage
 from sabench.simulation.rendering.camera_rays import (
     lens_rays,
     mark_unobstructed,
@@ -25,7 +25,7 @@ from sabench.simulation.rendering.camera_rays import (
     opaque,
 )
 from sabench.simulation.rendering.lamps import Lamps
-from sabench.simulation.rendering.particle_integrator import Cloud
+from sabench.simulation.rendering.particle_integrator import GlowingBalls
 from sabench.utils.arrays import F32, F64, U32
 
 
@@ -46,7 +46,7 @@ def layers_of(stack: Stack | None) -> list[tuple[Any, Any, Any]] | None:
     ]
 
 
-def panel_of(panel: Panel | None) -> tuple[Any, ...] | None:
+def panel_of(panel: LightPanel | None) -> tuple[Any, ...] | None:
     """Return centre, edges over their squared lengths, normal and radiance."""
     if panel is None:
         return None
@@ -223,7 +223,7 @@ class _Device:
         self.radius = dr.opaque(mi.Float, stage.radius)
 
 
-def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
+def _cloud(cloud: GlowingBalls | None) -> tuple[Any, ...] | None:
     if cloud is None:
         return None
     vectors = [

@@ -25,7 +25,7 @@ from sabench.utils import backend
 from sabench.utils.arrays import F64
 
 if TYPE_CHECKING:
-    from sabench.simulation.rendering.particle_integrator import Cloud
+    from sabench.simulation.rendering.particle_integrator import GlowingBalls
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Stack:
 
 
 @dataclass(frozen=True)
-class Panel:
+class LightPanel:
     """Diffuser: centre in the frame of the render, half edges (2, 3), radiance."""
 
     center: F64
@@ -74,11 +74,11 @@ class Stage:
     normal: F64
     front: Stack | None
     rear: Stack | None
-    panel: Panel | None
+    panel: LightPanel | None
     radius: float
     bubbles: Any = None
     balls: Any = None
-    cloud: Cloud | None = None
+    cloud: GlowingBalls | None = None
     lamps: Lamps | None = None
     opaque_scene: Any = None
     bodies: bool = False
@@ -230,16 +230,16 @@ def _bsdf(material: Material, tank: Tank) -> dict[str, Any]:
 
 def _cloud(
     camera: Camera, images: ParticleImages | None, positions_mm: F64 | None, origin: F64
-) -> Cloud | None:
+) -> GlowingBalls | None:
     if images is None or positions_mm is None:
         return None
     bright = (images.intensity > 0.0) & np.isfinite(images.sigma_px)
     if not bright.any():
         return None
-    from sabench.simulation.rendering.particle_integrator import Cloud  # needs the variant
+    from sabench.simulation.rendering.particle_integrator import GlowingBalls  # needs the variant
 
     glow = glow_of(images, images.shape_mm(camera, positions_mm), bright)
-    return Cloud(positions_mm[bright] - origin, *glow)
+    return GlowingBalls(positions_mm[bright] - origin, *glow)
 
 
 def _stacks(tank: Tank, origin: F64) -> tuple[Stack | None, Stack | None]:
@@ -257,7 +257,7 @@ def _stacks(tank: Tank, origin: F64) -> tuple[Stack | None, Stack | None]:
     return front, Stack(faces, np.array(indices))
 
 
-def _panel(light: Backlight | None, origin: F64, full: float) -> Panel | None:
+def _panel(light: Backlight | None, origin: F64, full: float) -> LightPanel | None:
     if light is None:
         return None
     normal = np.asarray(light.normal) / np.linalg.norm(light.normal)
@@ -265,7 +265,7 @@ def _panel(light: Backlight | None, origin: F64, full: float) -> Panel | None:
     across /= np.linalg.norm(across)
     width, height = light.size_mm
     edges = np.stack([across * width / 2.0, np.cross(normal, across) * height / 2.0])
-    return Panel(np.asarray(light.center_mm) - origin, edges, light.exposure * full)
+    return LightPanel(np.asarray(light.center_mm) - origin, edges, light.exposure * full)
 
 
 def _lamps(light: Lighting | None, camera: Camera, origin: F64, full: float) -> Lamps | None:
@@ -278,7 +278,10 @@ def _lamps(light: Lighting | None, camera: Camera, origin: F64, full: float) -> 
 
 
 def _bounding_radius(
-    bubbles: Bubbles, bodies: Sequence[tuple[Solid, Material]], cloud: Cloud | None, origin: F64
+    bubbles: Bubbles,
+    bodies: Sequence[tuple[Solid, Material]],
+    cloud: GlowingBalls | None,
+    origin: F64,
 ) -> float:
     corners = [
         np.linalg.norm(bubbles.center_mm - origin, axis=1)

@@ -51,7 +51,7 @@ def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any) -> Any:
     origin : world point that is the scene's (0, 0, 0).
     column, row : pixel coordinates; (0, 0) is the centre of a pixel.
     """
-    x, y = undistort(camera.distortion, *_distorted(camera, column, row))
+    x, y = undistort_rays(camera.distortion, *_distorted(camera, column, row))
     right, below, forward = (opaque(axis) for axis in camera.rotation)
     start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin))
     return mi.Ray3f(start, dr.normalize(x * right + y * below + forward))
@@ -63,7 +63,7 @@ def lens_rays(camera: Camera, origin: F64, column: Any, row: Any, lens_mm: tuple
     Other parameters as `pinhole_rays`.
     """
     u, v = _distorted(camera, column, row)
-    x, y = undistort(camera.distortion, u, v)
+    x, y = undistort_rays(camera.distortion, u, v)
     a, b = lens_mm
     right, below, forward = (opaque(axis) for axis in camera.rotation)
     start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
@@ -94,7 +94,7 @@ def _distorted(camera: Camera, column: Any, row: Any) -> tuple[Any, Any]:
     return (u * right.x + v * down.x) / depth, (u * right.y + v * down.y) / depth
 
 
-def undistort(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
+def undistort_rays(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
     """Invert the distortion by a fixed point; a dozen steps reach single precision.
 
     A copy of `Camera.ideal`, the reference, for arrays of Dr.Jit; tied to it by

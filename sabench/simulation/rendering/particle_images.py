@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from sabench.api.arrays import Array
-from sabench.api.truth import Particles, View
+from sabench.api.truth import Particles, ParticleView
 from sabench.geometry.camera import Camera
 from sabench.geometry.lens import UPRIGHT, from_sensor, onto_sensor, stretch
 from sabench.geometry.occluders import Disc, in_shadow
@@ -324,7 +324,7 @@ _SLACK = 1.02  # of the volume: particles that have left it a little
 
 
 @dataclass(frozen=True)
-class ParticleImages(View):
+class ParticleImages(ParticleView):
     """Images of n particles in one camera, and the light that leaves for them.
 
     Attributes
@@ -337,9 +337,9 @@ class ParticleImages(View):
     """
 
     ARRAYS = (
-        *View.ARRAYS[:-1],
+        *ParticleView.ARRAYS[:-1],
         Array("spread_px2", ("n", 3), finite=False, file_dtype=np.float32),
-        View.ARRAYS[-1],
+        ParticleView.ARRAYS[-1],
     )
 
     intensity: F64

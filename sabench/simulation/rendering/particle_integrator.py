@@ -21,7 +21,7 @@ _ROUNDING = 2e-6  # of distances: rays go on so far behind what they met
 
 
 @dataclass(frozen=True)
-class Cloud:
+class GlowingBalls:
     """Glowing balls around particles, in the frame of the render.
 
     Attributes
@@ -40,11 +40,11 @@ class Cloud:
     radiance: F64
 
 
-def render(
+def integrate_particles(
     walls: Any,
     camera: Camera,
     origin: F64,
-    cloud: Cloud,
+    cloud: GlowingBalls,
     interfaces: int,
     near: tuple[I64, I64, I64],
     side: int,
@@ -81,7 +81,13 @@ class _Device:
     """Device copy of a cloud, and of the particles near each pixel."""
 
     def __init__(
-        self, cloud: Cloud, interfaces: int, camera: Camera, origin: F64, starts: I64, near: I64
+        self,
+        cloud: GlowingBalls,
+        interfaces: int,
+        camera: Camera,
+        origin: F64,
+        starts: I64,
+        near: I64,
     ) -> None:
         self.centers, self.a, self.b = (
             mi.Point3f(np.ascontiguousarray(v.T, dtype=np.float32))

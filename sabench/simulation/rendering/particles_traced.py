@@ -55,7 +55,7 @@ def render(
 
     # single precision: numbers are small where the particles are
     origin = positions_mm[bright].mean(axis=0)
-    cloud = particle_integrator.Cloud(
+    cloud = particle_integrator.GlowingBalls(
         positions_mm[bright] - origin,
         *glow_of(images, images.shape_mm(camera, positions_mm), bright),
     )
@@ -71,7 +71,9 @@ def render(
         _fill_boxes(low, high, some, camera.columns, starts.copy(), near)
         lit = np.flatnonzero(np.diff(starts))
         given = camera, origin, cloud, len(walls), (lit, starts, near)
-        image[lit] += particle_integrator.render(scene, *given, math.isqrt(samples), occluders)
+        image[lit] += particle_integrator.integrate_particles(
+            scene, *given, math.isqrt(samples), occluders
+        )
     return image.reshape(camera.rows, camera.columns)
 
 

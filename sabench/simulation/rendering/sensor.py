@@ -299,7 +299,7 @@ def full_well_photons(sensor: Sensor) -> float:
 
 
 @dataclass(frozen=True)
-class Pattern:
+class FixedPattern:
     """Differences between the pixels of one camera, the same in every frame.
 
     Attributes
@@ -314,7 +314,7 @@ class Pattern:
     offset_e: F64
 
 
-def make_pattern(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generator) -> Pattern:
+def make_pattern(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generator) -> FixedPattern:
     """Draw the pattern of a camera's pixels (row, column).
 
     Responses and offsets are normal, signals of hot pixels exponential (EMVA 1288 release 4.0,
@@ -328,11 +328,11 @@ def make_pattern(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generato
     dead = kind > 1.0 - (sensor.dead_pixels or 0.0)
     mean = sensor.hot_e or _HOT * sensor.full_well_e
     response, offset = np.where(dead, 0.0, np.maximum(response, 0.0)), np.where(dead, 0.0, offset)
-    return Pattern(response, np.where(hot, mean * size, 0.0), offset)
+    return FixedPattern(response, np.where(hot, mean * size, 0.0), offset)
 
 
 def expose(
-    sensor: Sensor, photons: F64, rng: np.random.Generator, pattern: Pattern | None = None
+    sensor: Sensor, photons: F64, rng: np.random.Generator, pattern: FixedPattern | None = None
 ) -> U16:
     """Convert mean photons (rows, columns) to grey values, with noise.
 

@@ -42,7 +42,7 @@ class Paint:
     rotation: F64
 
 
-def render(
+def integrate_target(
     scene: Any,
     camera: Camera,
     origin: F64,

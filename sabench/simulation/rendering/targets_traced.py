@@ -46,7 +46,7 @@ def render(
     )
     lamps = place_lamps(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = target_integrator.render(
+    radiance = target_integrator.integrate_target(
         scene, camera, origin, paint, lamps, planes, samples
     ).astype(np.float64)
     radiance /= _through_wall(camera)

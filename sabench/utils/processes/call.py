@@ -24,7 +24,7 @@ from typing import Any
 from sabench.utils import errors
 from sabench.utils.errors import InputError, UncheckedError
 from sabench.utils.kernel_folder import kernel_folder
-from sabench.utils.processes.confinement import View, confine, die_with_parent
+from sabench.utils.processes.confinement import VisiblePaths, confine, die_with_parent
 from sabench.utils.processes.program import describe_end, kill_tree, overdue
 from sabench.utils.processes.python import ignored_interrupts
 
@@ -48,7 +48,7 @@ def call_isolated(
     *arguments: Any,
     doing: str,
     time_s: float | None = None,
-    view: View | None = None,
+    view: VisiblePaths | None = None,
 ) -> Any:
     """Call a module's function in a child process and return its result.
 
@@ -105,7 +105,7 @@ def _without_script() -> Iterator[None]:
         sys.modules["__main__"] = script
 
 
-def _choose_environment(view: View) -> dict[str, str]:
+def _choose_environment(view: VisiblePaths) -> dict[str, str]:
     names, beginnings = _KEPT
     inherited = {
         name: value
@@ -141,7 +141,7 @@ def _context() -> Any:
 def _call(
     sender: Connection,
     environment: dict[str, str],
-    view: View | None,
+    view: VisiblePaths | None,
     function: Callable[..., Any],
     arguments: tuple[Any, ...],
 ) -> None:

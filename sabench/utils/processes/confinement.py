@@ -46,7 +46,7 @@ _ROOT = Path("/tmp")  # where the new root is built: any folder that is there
 
 
 @dataclass(frozen=True)
-class View:
+class VisiblePaths:
     """Absolute paths that a confined process sees, besides those of the system.
 
     Attributes
@@ -71,7 +71,7 @@ def can_confine() -> bool:
     """Check whether this system lets this user confine a process, by confining one."""
     if sys.platform != "linux" or os.uname().machine not in _PIVOT_ROOT:
         return False
-    view = View(changeable=(str(Path(__file__).parent),))
+    view = VisiblePaths(changeable=(str(Path(__file__).parent),))
     words, message = start_words((), 1 << 30), start_input(view)
     done = subprocess.run(words, input=message, stderr=subprocess.DEVNULL, check=False)
     return done.returncode == 0
@@ -82,12 +82,12 @@ def start_words(program: Sequence[str], file_bytes: int) -> list[str]:
     return [sys.executable, "-I", "-S", __file__, str(file_bytes), *program]
 
 
-def start_input(view: View | None) -> bytes:
+def start_input(view: VisiblePaths | None) -> bytes:
     """Return what that command reads: a view, or None for no confinement."""
     return json.dumps(None if view is None else asdict(view)).encode()
 
 
-def confine(view: View) -> None:
+def confine(view: VisiblePaths) -> None:
     """Confine the calling process, which must have one thread.
 
     It goes on as the child of a child: the first process of the new namespace has to wait for all
@@ -168,7 +168,7 @@ def _end_like_confined(first: int, receiver: int) -> None:
     os._exit(code)
 
 
-def _enter(view: View) -> None:
+def _enter(view: VisiblePaths) -> None:
     links = {path: path.readlink() for path in _SYSTEM if path.is_symlink()}
     mounts = _mounts(view, links)
     sources = {path: os.open(path, os.O_PATH) for path in mounts if path.exists()}
@@ -194,7 +194,9 @@ def _enter(view: View) -> None:
     _change_root(here)
 
 
-def _mounts(view: View, links: Collection[Path]) -> dict[Path, Callable[[Path, Path], None]]:
+def _mounts(
+    view: VisiblePaths, links: Collection[Path]
+) -> dict[Path, Callable[[Path, Path], None]]:
     """List what is mounted, and how; a later word on a path replaces an earlier one."""
     shown = [path for path in _SYSTEM if path not in links]
     devices = [path for name in _DEVICES for path in Path("/dev").glob(name)]
@@ -281,7 +283,7 @@ def _main(file_bytes: str, *program: str) -> None:
     view = json.load(sys.stdin)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     if view is not None:
-        confine(View(**view))
+        confine(VisiblePaths(**view))
     if not program:
         return
     try:

@@ -20,7 +20,7 @@ import psutil
 
 from sabench.utils import memory
 from sabench.utils.errors import InputError
-from sabench.utils.processes.confinement import View, start_input, start_words
+from sabench.utils.processes.confinement import VisiblePaths, start_input, start_words
 from sabench.utils.validation import printable
 
 _KEPT: tuple[str, ...] = ("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "TZ")
@@ -34,7 +34,7 @@ _MEMORY_SHARE = 0.9  # of the free memory, where no limit is given
 
 
 @dataclass(frozen=True)
-class Limits:
+class ProgramLimits:
     """Resources that a program may use.
 
     Attributes
@@ -60,11 +60,13 @@ class Limits:
                 raise InputError(f"{name}: expected a positive number, got {value:g}")
 
 
-def limits_of(time_s: float | None, memory_mb: float | None) -> Limits | None:
+def limits_of(time_s: float | None, memory_mb: float | None) -> ProgramLimits | None:
     """Return limits with defaults for those that are None; None where both are."""
     if time_s is None and memory_mb is None:
         return None
-    return Limits(memory_mb=memory_mb) if time_s is None else Limits(time_s, memory_mb)
+    return (
+        ProgramLimits(memory_mb=memory_mb) if time_s is None else ProgramLimits(time_s, memory_mb)
+    )
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,11 @@ class Cost:
 
 
 def run_limited(
-    words: Sequence[str], folder: Path, limits: Limits, name: str, view: View | None = None
+    words: Sequence[str],
+    folder: Path,
+    limits: ProgramLimits,
+    name: str,
+    view: VisiblePaths | None = None,
 ) -> Cost:
     """Run a program in `folder` and wait for its end.
 
@@ -113,7 +119,7 @@ def run_limited(
         breach = f"{expected}, but it went on writing one"
     if breach:
         raise InputError(f"program {name}: {breach}{last_words(last)}")
-    check_end(f"program {name}", process.returncode, last)
+    check_exit_code(f"program {name}", process.returncode, last)
     return Cost(seconds, peak_mb)
 
 
@@ -171,7 +177,7 @@ def _environment(folder: Path, token: str) -> Mapping[str, str]:
 
 
 def _watch(
-    process: subprocess.Popen[bytes], folder: Path, limits: Limits, start: float
+    process: subprocess.Popen[bytes], folder: Path, limits: ProgramLimits, start: float
 ) -> tuple[float, str]:
     """Return peak memory (MB) at a program's end or first breach, and the breach."""
     free_mb = memory.available_mb()
@@ -282,7 +288,7 @@ def last_words(line: str) -> str:
     return f"; its last words: {line}" if line else ""
 
 
-def check_end(name: str, code: int, line: str) -> None:
+def check_exit_code(name: str, code: int, line: str) -> None:
     """Raise an InputError with the last line of output unless the exit code is 0."""
     if code:
         end = f"expected exit code 0, but it ended with {describe_end(code)}"

@@ -20,7 +20,7 @@ from typing import IO, Any
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.processes.program import (
-    check_end,
+    check_exit_code,
     describe_end,
     kill_if_left,
     last_line,
@@ -86,7 +86,7 @@ def ignored_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def missing(module: str, package: str) -> str | None:
+def missing_package(module: str, package: str) -> str | None:
     """Say how to install a package of the extra `competitors`; None if it is there."""
     if importlib.util.find_spec(module):
         return None
@@ -126,7 +126,7 @@ def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> N
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         memory.add_child(used.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e6)
-    check_end(name, process.returncode, last_line(log.read_bytes()))
+    check_exit_code(name, process.returncode, last_line(log.read_bytes()))
 
 
 def run_code(code: str, name: str, time_s: float) -> str:
@@ -143,7 +143,7 @@ def run_code(code: str, name: str, time_s: float) -> str:
             output, errors = process.communicate(timeout=time_s)
         except subprocess.TimeoutExpired:
             raise InputError(f"{name}: {overdue(time_s)}") from None
-    check_end(name, process.returncode, last_line(errors))
+    check_exit_code(name, process.returncode, last_line(errors))
     return output.decode("utf-8", "replace").strip()
 
 

@@ -16,7 +16,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import file_series, last_number
 from sabench.utils.processes.call import read_isolated
-from sabench.utils.tables import Array as Array, read_table
+from sabench.utils.tables import UnitArray as Array, read_table
 
 FILE_NUMBER = "file_number"  # array of the number in the name of each value's file
 _CONTENTS = "contents.json"

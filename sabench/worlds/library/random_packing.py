@@ -17,7 +17,9 @@ from sabench.worlds.library.overlaps import contact_factor, shapes_of
 _TRIES, _ROUNDS = 64, 200  # places that are tried for each bubble at a time, and how often
 
 
-def place(semi_axes_mm: F64, rotation: F64, propose: Callable[[I64, int], F64], what: str) -> F64:
+def place_ellipsoids(
+    semi_axes_mm: F64, rotation: F64, propose: Callable[[I64, int], F64], what: str
+) -> F64:
     """Place ellipsoids so that none overlap, the largest first: centres (n, 3).
 
     Parameters

@@ -24,7 +24,7 @@ _PAIRS = ((1, 2), (2, 0), (0, 1))  # curl_i = d_j A_k - d_k A_j
 
 
 @dataclass(frozen=True)
-class Box:
+class PeriodicBox:
     """Periodic lattice.
 
     Attributes
@@ -61,7 +61,7 @@ class SlowFlow:
     force : (3,) of the fluid on the bodies over its density, mm4/s2.
     """
 
-    box: Box
+    box: PeriodicBox
     mean_mm_s: F64
     splines: F64
     force: F64
@@ -82,8 +82,8 @@ class SlowFlow:
         return np.stack([bends[:, k, j] - bends[:, j, k] for j, k in _PAIRS], axis=1)
 
 
-def solve(
-    bodies: Sequence[Solid], box: Box, velocity_mm_s: F64, viscosity_mm2_s: float
+def solve_oseen(
+    bodies: Sequence[Solid], box: PeriodicBox, velocity_mm_s: F64, viscosity_mm2_s: float
 ) -> SlowFlow:
     """Solve Oseen's equations with a mean velocity and bodies at rest.
 
@@ -123,7 +123,7 @@ def solve(
     return SlowFlow(box, velocity_mm_s, green.splines(spread), total)
 
 
-def _spread(values: F64, solid: Bool, box: Box) -> F64:
+def _spread(values: F64, solid: Bool, box: PeriodicBox) -> F64:
     """Put values (n, 3) of the bodies' nodes on the lattice (x, y, z, 3)."""
     out = np.zeros((len(solid), 3))
     out[solid] = values
@@ -133,7 +133,7 @@ def _spread(values: F64, solid: Bool, box: Box) -> F64:
 class _Oseen:
     """Green's function in a periodic box, from forces over density."""
 
-    def __init__(self, box: Box, mean_mm_s: F64, viscosity_mm2_s: float) -> None:
+    def __init__(self, box: PeriodicBox, mean_mm_s: F64, viscosity_mm2_s: float) -> None:
         self._box, self._k = box, box.waves()
         square = (self._k**2).sum(axis=-1)
         square[0, 0, 0] = 1.0

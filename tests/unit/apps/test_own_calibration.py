@@ -5,7 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.apps.own_calibration.folder import read_loose_points, read_sightings, read_target
+from sabench.apps.own_calibration.folder import (
+    read_loose_points,
+    read_sightings,
+    read_target_points,
+)
 from tests.helpers.refusals import refused
 
 NAMES = ("a", "b")
@@ -73,8 +77,8 @@ def test_loose_points_need_places(tmp_path: Path) -> None:
 
 def test_a_target_of_any_shape(tmp_path: Path) -> None:
     path = write(tmp_path, "point,x_mm,y_mm,z_mm\n1,1,0,5\n0,0,0,0\n2,0,1,0\n")
-    assert read_target(path) == ((0.0, 0.0, 0.0), (1.0, 0.0, 5.0), (0.0, 1.0, 0.0))
+    assert read_target_points(path) == ((0.0, 0.0, 0.0), (1.0, 0.0, 5.0), (0.0, 1.0, 0.0))
     with refused():
-        read_target(write(tmp_path, "point,x_mm,y_mm,z_mm\n1,1,0,5\n0,0,0,0\n"))
+        read_target_points(write(tmp_path, "point,x_mm,y_mm,z_mm\n1,1,0,5\n0,0,0,0\n"))
     with refused("none.csv"):
-        read_target(tmp_path / "none.csv")
+        read_target_points(tmp_path / "none.csv")

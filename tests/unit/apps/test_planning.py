@@ -22,8 +22,8 @@ from sabench.apps.planning.expected_scores import (
     features_of,
     load_model,
 )
-from sabench.apps.planning.page import draw_rig, render
-from sabench.apps.planning.plan import Plan, Recorder, Wanted, design_scene, plan
+from sabench.apps.planning.page import draw_rig, render_plan
+from sabench.apps.planning.plan import Plan, RecordingSystem, Wanted, design_scene, plan
 from sabench.evaluation.suite_loading import override
 from sabench.plotting.outlines import Outline, draw_outlines
 from sabench.scenes import Scene, find, load_scene, parse_scene
@@ -162,7 +162,7 @@ def test_the_brightest_pixel_is_that_of_a_simulated_particle_at_a_pixel_s_centre
 
 
 def test_two_pulses_straddle_the_gap_between_exposures() -> None:
-    made = plan("vortex-ring-experiment", Recorder(gap_us=250.0))
+    made = plan("vortex-ring-experiment", RecordingSystem(gap_us=250.0))
     first, second = (value(made, f"{name}_pulse_us") for name in ("first", "second"))
     assert second - first == pytest.approx(8000.0)
     period = 1e6 / 20.0  # two frames ten times a second
@@ -433,7 +433,7 @@ def test_outlines_are_to_scale() -> None:
 def test_the_page_escapes_what_a_scene_says() -> None:
     made = plan("quick")
     scene = made.scene.model_copy(update={"title": "<script>alert(1)</script>"})
-    page = render(type(made)(scene, made.rig, made.viewing, made.sections))
+    page = render_plan(type(made)(scene, made.rig, made.viewing, made.sections))
     assert "<script" not in page
 
 

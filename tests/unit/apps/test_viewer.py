@@ -17,23 +17,23 @@ import sabench
 from sabench.api import Detections, FoundParticles, Velocity
 from sabench.api.truth import Bubbles
 from sabench.apps.viewer import page_content, points
-from sabench.apps.viewer.contents import Contents, of_dataset, of_scene
-from sabench.apps.viewer.page_content import Packer, content_of
+from sabench.apps.viewer.contents import PageContents, of_dataset, of_scene
+from sabench.apps.viewer.page_content import Packer, encode_contents
 from sabench.apps.viewer.points import (
     DUPLICATE,
     FOUND,
     GHOST,
-    KINDS,
     MISSED,
+    OBJECT_KINDS,
     TRUE,
-    Cloud,
+    ObjectCloud,
     classify_bubbles,
     classify_particles,
     link_to_earlier,
     place_vectors,
     with_velocities,
 )
-from sabench.apps.viewer.view import draw_surroundings, render
+from sabench.apps.viewer.view import draw_surroundings, render_contents
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.geometry.common_view import lattice_of
@@ -71,13 +71,13 @@ def estimate_of(data: Dataset, frame: int) -> FoundParticles:
 
 
 @pytest.fixture(scope="module")
-def shown(moving: Dataset, found: Result) -> Contents:
+def shown(moving: Dataset, found: Result) -> PageContents:
     return replace(of_dataset(moving, found), title=EVIL)
 
 
 @pytest.fixture(scope="module")
-def html(shown: Contents) -> str:
-    return render(shown)[0]
+def html(shown: PageContents) -> str:
+    return render_contents(shown)[0]
 
 
 def values_of(html: str) -> dict[str, Any]:
@@ -89,7 +89,7 @@ def values_of(html: str) -> dict[str, Any]:
 def test_particles_are_classified_as_they_are_scored(moving: Dataset) -> None:
     estimate = estimate_of(moving, 0)
     cloud = classify_particles(estimate, moving, 0)
-    counts = dict(zip(KINDS, cloud.counts(), strict=True))
+    counts = dict(zip(OBJECT_KINDS, cloud.counts(), strict=True))
     assert counts == {"true": 290, "found": 290, "missed": 10, "ghost": 3, "duplicate": 5}
     to_voxels = moving.setup.grid.to_voxels
     true = moving.particles(0).position_mm
@@ -126,7 +126,7 @@ def test_bubbles_are_classified_and_keep_their_shapes() -> None:
     moved = true.center_mm[1:] + np.array([[0.1], [50.0], [0.1], [0.0], [0.0]])
     found = Detections(moved, true.semi_axes_mm[1:], true.turn[1:])
     cloud = classify_bubbles(found, data, 0)
-    counts = dict(zip(KINDS, cloud.counts(), strict=True))
+    counts = dict(zip(OBJECT_KINDS, cloud.counts(), strict=True))
     assert counts == {"true": 4, "found": 4, "missed": 2, "ghost": 1, "duplicate": 0}
     assert np.flatnonzero(cloud.kind == MISSED).tolist() == [0, 2]
     assert cloud.shape_mm is not None
@@ -135,7 +135,9 @@ def test_bubbles_are_classified_and_keep_their_shapes() -> None:
     assert inside == pytest.approx(1.0)
 
 
-def test_a_page_of_a_result_has_trajectories_counts_and_labels(shown: Contents, html: str) -> None:
+def test_a_page_of_a_result_has_trajectories_counts_and_labels(
+    shown: PageContents, html: str
+) -> None:
     values = values_of(html)
     assert values["totals"]["particles"]["ghost"] == [3, 3]
     assert values["linked"]
@@ -155,7 +157,7 @@ def test_projections_are_those_of_the_cameras(moving: Dataset, html: str) -> Non
         assert np.abs(terms @ np.array(own["coefficients"]) - exact).max() < 5e-3
 
 
-def value_at(stack: page_content.Stack, points_mm: F64) -> F64:
+def value_at(stack: page_content.PlaneStack, points_mm: F64) -> F64:
     place, shape = stack.place, np.array(stack.pictures.shape)
     off = points_mm - place.corner_mm
     shares = [off @ one / (one @ one) for one in (place.down_mm, place.across_mm)]
@@ -219,8 +221,8 @@ def test_pictures_are_compressed_until_they_fit(moving: Dataset) -> None:
 def test_particles_far_outside_are_left_out_and_it_is_said(moving: Dataset) -> None:
     contents = of_dataset(moving)
     far = np.concatenate([contents.frames[0].particles.position_mm, [[1e6, 0.0, 0.0]]])
-    frame = replace(contents.frames[0], particles=Cloud.of_kind(far, TRUE))
-    values, _, notes = content_of(replace(contents, frames=(frame,), data=None))
+    frame = replace(contents.frames[0], particles=ObjectCloud.of_kind(far, TRUE))
+    values, _, notes = encode_contents(replace(contents, frames=(frame,), data=None))
     assert values["frames"][0]["particles"]["count"] == 300
     assert notes == ["1 particles farther outside the volume than its size are left out."]
     assert max(values["box"]["size"]) < 20.0
@@ -270,9 +272,9 @@ def test_names_become_text_and_never_markup(html: str) -> None:
     assert html.count("&lt;img src=x onerror=") >= 3
 
 
-def cloud_of(numbers: list[int], kind: int = FOUND, shift: float = 0.0) -> Cloud:
+def cloud_of(numbers: list[int], kind: int = FOUND, shift: float = 0.0) -> ObjectCloud:
     position = np.array(numbers, dtype=np.float64)[:, None] + np.array([0.0, 10.0, 20.0]) + shift
-    return Cloud.of_kind(position, kind, np.array(numbers, dtype=np.int64))
+    return ObjectCloud.of_kind(position, kind, np.array(numbers, dtype=np.int64))
 
 
 def test_links_follow_trajectories_of_the_truth_or_of_the_estimate_in_any_order() -> None:
@@ -310,7 +312,7 @@ def test_thinning_keeps_trajectories_and_shares_of_kinds(monkeypatch: pytest.Mon
 
 
 def test_objects_without_a_trajectory_are_thinned_at_random_but_repeatably() -> None:
-    alone = Cloud.of_kind(np.random.default_rng(1).random((10_000, 3)), FOUND)
+    alone = ObjectCloud.of_kind(np.random.default_rng(1).random((10_000, 3)), FOUND)
     one, other = (points.thin([alone], 0.25)[0] for _ in range(2))
     assert len(one) == pytest.approx(2500, rel=0.1)
     assert np.array_equal(one.position_mm, other.position_mm)

@@ -19,7 +19,7 @@ from sabench.api.make import make_algorithm
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.pipeline import generate
-from sabench.tasks.particles import score_frame
+from sabench.tasks.particles import score_particle_frame
 from sabench.utils.processes.call import call_isolated
 
 
@@ -44,7 +44,7 @@ def test_scores_are_those_of_the_task(scene: Scene, tmp_path: Path) -> None:
     )
     recording = Recording(shot.observation.images, scene.sensor)
     own = score_particles(found, shot, build_rig(scene).cameras, recording)
-    task = score_frame(data, found, shot.particles, 0)
+    task = score_particle_frame(data, found, shot.particles, 0)
     assert own["recall"] == pytest.approx(100.0 * float(task["recall"] or 0.0), abs=0.01)
     for key, digits in (("f1", 4), ("rms_px", 4), ("coverage_68", 3), ("coverage_95", 3)):
         assert own[key] == round(float(task[key] or 0.0), digits), key

@@ -26,7 +26,7 @@ from sabench.evaluation.gates.baseline import (
     read_baseline,
     write_baseline,
 )
-from sabench.evaluation.gates.comparison import Report, names_of, score_known_wrong, write_junit
+from sabench.evaluation.gates.comparison import GateReport, names_of, score_known_wrong, write_junit
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.findings import Finding, compare, loss
 from sabench.evaluation.gates.independent_projection import retrace
@@ -238,8 +238,8 @@ def test_solvers_of_one_name_need_labels() -> None:
         names_of([two[0], two[0]], "case a")
 
 
-def report(*worse: Finding, news: tuple[Finding, ...] = ()) -> Report:
-    return Report("tiny", worse, news, baseline())
+def report(*worse: Finding, news: tuple[Finding, ...] = ()) -> GateReport:
+    return GateReport("tiny", worse, news, baseline())
 
 
 def test_junit_has_a_case_for_the_data_and_each_solver(tmp_path: Path) -> None:

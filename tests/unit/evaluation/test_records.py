@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sabench import tasks
-from sabench.evaluation.record_schema import LONGEST_LINE, Head, score_faults
+from sabench.evaluation.record_schema import LONGEST_LINE, RecordHead, score_faults
 from sabench.evaluation.records import append, latest, read_records
 from tests.conftest import ROOT
 from tests.helpers.refusals import check_sentence, refused
@@ -68,7 +68,7 @@ def test_records_come_in_the_order_of_files_and_lines_with_defaults(tmp_path: Pa
         json.dumps(record("first")) + "\n\n" + json.dumps(record("second")) + "\n"
     )
     assert solvers(tmp_path) == ["first", "second", "third"]
-    head = Head.model_validate(record("third")).model_dump()
+    head = RecordHead.model_validate(record("third")).model_dump()
     assert read_records(tmp_path)[2] == {**head, "q": 0.5}
 
 

@@ -205,7 +205,7 @@ def test_ring_keeps_radius_and_chord(count: int) -> None:
 
 
 def test_cross_has_a_centre_and_four_equal_arms() -> None:
-    offsets = cameras.cross(2, 3.0)
+    offsets = cameras.make_cross(2, 3.0)
     arms = [(3.0 * k, 0.0) for k in range(-2, 3)] + [(0.0, 3.0 * k) for k in range(-2, 3)]
     assert len(offsets) == 9
     assert {(float(x), float(y)) for x, y in offsets} == {*arms}

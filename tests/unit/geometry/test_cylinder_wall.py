@@ -187,7 +187,9 @@ def test_without_curvature_the_kernels_are_a_plane_wall(kind: str) -> None:
     faces = np.column_stack([np.zeros(len(wall.layers) + 1), flat.interface_depths_mm])
     local = np.random.default_rng(4).uniform([8.0, -60.0, -60.0], [90.0, 60.0, 60.0], (200, 3))
     leaving, arriving = np.zeros_like(local), np.zeros_like(local)
-    assert cylinder_kernels.find(gap, faces, wall.indices, local, leaving, arriving).all()
+    assert cylinder_kernels.find_light_paths(
+        gap, faces, wall.indices, local, leaving, arriving
+    ).all()
     points = pinhole + (local + np.array([gap, 0.0, 0.0])) @ frame
     paths = trace_to_points(flat, pinhole, points)
     assert_allclose(leaving @ frame, paths.leaving, rtol=0, atol=1e-15 * 5)

@@ -53,13 +53,13 @@ def test_the_example_program_projects(wall: Wall | None, tilt: tuple[float, floa
 
 def test_renderers_undistort_as_cameras_do() -> None:
     backend.mitsuba()
-    from sabench.simulation.rendering.camera_rays import undistort
+    from sabench.simulation.rendering.camera_rays import undistort_rays
 
     one = camera(None)
     pixels = np.random.default_rng(2).uniform([0.0, 0.0], [319.0, 239.0], (500, 2))
     ideal, valid = one.ideal(pixels)
     u, v = ((pixels - np.asarray(one.principal_point_px)) / one.focal_px).T
-    found = np.column_stack(undistort(LENS, u, v))
+    found = np.column_stack(undistort_rays(LENS, u, v))
     assert valid.all()
     assert_allclose(found * one.focal_px, ideal * one.focal_px, rtol=0.0, atol=1e-5)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from sabench.images.statistics import guess_white, list_cameras, read_recordings
+from sabench.images.statistics import guess_white, list_image_files, read_recordings
 from sabench.utils.arrays import U16
 from tests.helpers.refusals import refused
 
@@ -44,7 +44,7 @@ def test_all_cameras_in_one_folder(tmp_path: Path) -> None:
             write(tmp_path / f"both/cam{camera}_{number:03}.png", image(seed=camera))
         write(tmp_path / f"numbers/{number}.tif", image())
     for folder, names in (("both", ["cam1", "cam2"]), ("numbers", ["camera"])):
-        found = list_cameras(tmp_path / folder)
+        found = list_image_files(tmp_path / folder)
         assert {name: len(paths) for name, paths in found.items()} == dict.fromkeys(names, 3)
 
 

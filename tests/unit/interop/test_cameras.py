@@ -485,5 +485,5 @@ def test_crashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, key
 
 
 def test_a_missing_package_is_one_sentence() -> None:
-    assert python.missing("sys", "python") is None
-    check_sentence(str(python.missing("no_such_module", "nothing")), "nothing")
+    assert python.missing_package("sys", "python") is None
+    check_sentence(str(python.missing_package("no_such_module", "nothing")), "nothing")

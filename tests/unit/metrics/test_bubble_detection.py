@@ -14,8 +14,8 @@ from sabench.metrics.bubble_detection import (
     DENSE,
     crowding,
     detection_scores,
-    match,
-    nearest,
+    match_bubbles,
+    nearest_bubble,
 )
 from sabench.metrics.plunging_jet import _drop, analyse
 from sabench.utils.arrays import F64
@@ -69,10 +69,10 @@ def test_half_a_radius_is_the_limit(part: float, f1: float) -> None:
 def test_matches_are_one_to_one_and_as_many_as_possible() -> None:
     """The first detection is near both true bubbles, the second only near the first."""
     true, radius = np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]]), np.array([2.0, 2.0])
-    i, j = match(np.array([[0.5, 0.0, 0.0], [-0.6, 0.0, 0.0]]), true, radius)
+    i, j = match_bubbles(np.array([[0.5, 0.0, 0.0], [-0.6, 0.0, 0.0]]), true, radius)
     assert {*zip(i.tolist(), j.tolist(), strict=True)} == {(0, 1), (1, 0)}
-    assert len(match(np.zeros((3, 3)), true, radius)[0]) == 2
-    assert len(match(np.zeros((0, 3)), true, radius)[0]) == 0
+    assert len(match_bubbles(np.zeros((3, 3)), true, radius)[0]) == 2
+    assert len(match_bubbles(np.zeros((0, 3)), true, radius)[0]) == 0
 
 
 def fine_air(law: JetLaw, depth_mm: float) -> tuple[F64, F64]:
@@ -116,7 +116,7 @@ def test_false_detections_belong_to_the_bubble_that_they_are_in() -> None:
     """The small bubble's centre is nearer to a point within the large one."""
     true = Detections.balls(np.array([[0.0, 0.0, 0.0], [2.5, 0.0, 0.0]]), np.array([2.0, 0.3]))
     points = np.array([[1.9, 0.0, 0.0], [2.3, 0.0, 0.0], [-30.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
-    assert_array_equal(nearest(true, points), [0, 1, 0, 1])
+    assert_array_equal(nearest_bubble(true, points), [0, 1, 0, 1])
     none = Detections.balls(np.zeros((0, 3)), np.zeros(0))
     scores = detection_scores(true, none, np.zeros(0))
     assert scores["f1"] == 0.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sabench.api import Reconstruction
-from sabench.api.truth import Particles, View
+from sabench.api.truth import Particles, ParticleView
 from sabench.geometry.grid import Grid, synthesise
 from sabench.metrics.particle_detection import detect_peaks
 from sabench.metrics.reconstruction_error import (
@@ -37,7 +37,9 @@ def volume(true: Particles, weights: F64, wide: float = 1.0, long: float = 1.0) 
 
 def scores(guess: F32) -> dict[str, float | None]:
     true, weights = particles()
-    view = View(np.zeros((250, 2)), weights, np.full(250, SIGMA_PX), np.ones(250, dtype=np.bool_))
+    view = ParticleView(
+        np.zeros((250, 2)), weights, np.full(250, SIGMA_PX), np.ones(250, dtype=np.bool_)
+    )
     return score_frame(GRID, true, [view], Reconstruction(guess))
 
 

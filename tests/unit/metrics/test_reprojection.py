@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from sabench.metrics.reprojection import (
     cut_patches,
-    draw,
+    draw_reprojection,
     explained_share,
     fit_light,
     matched_light,
@@ -26,7 +26,7 @@ def particles(count: int = 60) -> tuple[F64, F64]:
 
 def image_of(pixels: F64, light: F64, known: Bool = KNOWN) -> F64:
     patches = cut_patches(SHAPE, pixels, SIGMA, known)
-    return draw(SHAPE, patches, light[patches.rows])
+    return draw_reprojection(SHAPE, patches, light[patches.rows])
 
 
 def test_light_is_found_again() -> None:

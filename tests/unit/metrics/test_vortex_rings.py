@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from sabench.api import Velocity
 from sabench.api.make import generator_of
 from sabench.metrics.velocity_error import response
-from sabench.metrics.vortex_rings import circulation, core, half_plane, sample, spin_of
+from sabench.metrics.vortex_rings import circulation, core, half_plane, interpolate_field, spin_of
 from sabench.plotting.charts import Figure, Panel, Picture, Slice
 from sabench.plotting.drawing import draw
 from sabench.utils.arrays import F64, triple
@@ -30,7 +30,7 @@ def rotation() -> Velocity:
 
 
 def test_a_rotation_s_circulation_is_its_vorticity_times_the_area() -> None:
-    velocity = sample(rotation(), rotation().velocity_mm_s)
+    velocity = interpolate_field(rotation(), rotation().velocity_mm_s)
     half = half_plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 0.0)
     assert_allclose(np.cross(half.outward, half.axis), half.normal)
     found = circulation(velocity, half, 6.0, 1.0, 8.0, 5.0)
@@ -44,7 +44,7 @@ def test_a_planar_field_has_the_same_circulation_in_its_plane() -> None:
     half = half_plane((0.0, 0.0, 0.3), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 0.0)
     layer = solid.velocity_mm_s[:1], solid.valid[:1]
     plane = Velocity((*solid.low_mm[:2], 0.3), solid.step_mm, *layer, np.eye(3)[:2])
-    values = [sample(one, one.velocity_mm_s) for one in (solid, plane)]
+    values = [interpolate_field(one, one.velocity_mm_s) for one in (solid, plane)]
     one, other = (circulation(each, half, 6.0, 1.0, 8.0, 5.0) for each in values)
     assert one == pytest.approx(other)
     assert_allclose(spin_of(plane)(point), [[0.0, 0.0, 6.0]])

@@ -63,7 +63,7 @@ def test_images_of_a_short_pulse_are_computed_once(monkeypatch: pytest.MonkeyPat
         return calls[-1]
 
     monkeypatch.setattr(camera_view, "image_particles", counted)
-    view = camera_view.render(frame, 2)
+    view = camera_view.render_camera_view(frame, 2)
     assert len(calls) == 1
     assert view.particles is calls[0]
     expected = particles_splatted.render(frame.rig.cameras[2], calls[0])

@@ -7,16 +7,23 @@ import numpy as np
 import pytest
 
 from sabench.api.arrays import Array
-from sabench.api.truth import Materials, View
+from sabench.api.truth import Materials, ParticleView
 from sabench.scenes import load_scene
-from sabench.simulation.recording.parts import Entry, Job, Kept, Parts, Taken, read_job
-from sabench.simulation.recording.schedule import TRIES, Schedule, Task
+from sabench.simulation.recording.parts import (
+    CameraPart,
+    Entry,
+    Job,
+    Parts,
+    RecordingArrays,
+    read_job,
+)
+from sabench.simulation.recording.schedule import TRIES, RecordingTask, Schedule
 from sabench.utils.arrays import F64
 from tests.helpers.refusals import refused
 
 
 @dataclass(frozen=True)
-class State(Kept):
+class State(RecordingArrays):
     ARRAYS = (Array("state", (0,)),)
 
     state: F64
@@ -26,10 +33,17 @@ def numbers(count: int) -> Entry:
     return Materials(np.arange(count)), ""
 
 
-def taken() -> Taken:
+def taken() -> CameraPart:
     rng = np.random.default_rng(1)
-    return Taken(
-        [(View(rng.random((5, 2)), np.ones(5), np.ones(5), np.ones(5, dtype=np.bool_)), "a")],
+    return CameraPart(
+        [
+            (
+                ParticleView(
+                    rng.random((5, 2)), np.ones(5), np.ones(5), np.ones(5, dtype=np.bool_)
+                ),
+                "a",
+            )
+        ],
         rng.integers(0, 4095, (6, 8), dtype=np.uint16),
         rng.random((6, 8), dtype=np.float32),
     )
@@ -47,7 +61,7 @@ def test_what_is_put_is_there_and_nothing_beside_it(tmp_path: Path) -> None:
     assert list(parts.frame(3).truth) == ["frames/0003/material"]
     np.testing.assert_array_equal(parts.frame(3).truth["frames/0003/material"], np.arange(4))
     (seen, _), stored = view.truth[0], parts.view(3, "a")
-    assert isinstance(seen, View)
+    assert isinstance(seen, ParticleView)
     np.testing.assert_array_equal(stored.truth["frames/0003/cameras/a/pixel"], seen.pixel)
     assert sorted(stored.files) == ["images/frame_0003/a.exr", "images/frame_0003/a.tif"]
     names = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
@@ -133,12 +147,12 @@ def test_nothing_is_written_where_the_data_set_is_complete(tmp_path: Path) -> No
     assert not list(tmp_path.iterdir())
 
 
-def check_allowed(task: Task, finished: set[Task], *, chained: bool) -> None:
+def check_allowed(task: RecordingTask, finished: set[RecordingTask], *, chained: bool) -> None:
     """A camera comes after its frame's truth, which in a chain comes after that before."""
     if task.camera is not None:
-        assert Task(task.frame) in finished
+        assert RecordingTask(task.frame) in finished
     elif chained and task.frame:
-        assert Task(task.frame - 1) in finished
+        assert RecordingTask(task.frame - 1) in finished
 
 
 def work(
@@ -148,10 +162,10 @@ def work(
     chained: bool,
     seed: int,
     dying: float = 0.0,
-    before: tuple[Task, ...] = (),
-) -> tuple[list[Task], int]:
+    before: tuple[RecordingTask, ...] = (),
+) -> tuple[list[RecordingTask], int]:
     rng, most = np.random.default_rng(seed), 0
-    running: dict[int, Task] = {}
+    running: dict[int, RecordingTask] = {}
     last: dict[int, int] = {}
     ended = list(before)
     while not schedule.finished:
@@ -196,28 +210,30 @@ def test_a_task_that_fails_now_and_then_is_done_in_the_end() -> None:
 
 def test_one_worker_stays_with_a_frame() -> None:
     ended, _ = work(Schedule(4, 3, chained=False, ahead=1), 1, chained=False, seed=0)
-    assert ended == [Task(frame, camera) for frame in range(4) for camera in (None, 0, 1, 2)]
+    assert ended == [
+        RecordingTask(frame, camera) for frame in range(4) for camera in (None, 0, 1, 2)
+    ]
 
 
 def test_two_workers_take_a_frame_each_and_share_the_last() -> None:
     schedule = Schedule(3, 2, chained=False, ahead=3)
-    assert [schedule.take(None), schedule.take(None)] == [Task(0), Task(1)]
-    schedule.complete(Task(0))
-    schedule.complete(Task(1))
-    first = Task(0, 0)
-    assert [schedule.take(1), schedule.take(0)] == [Task(1, 0), first]
-    schedule.complete(Task(1, 0))
-    for task in (Task(1, 1), Task(2)):
+    assert [schedule.take(None), schedule.take(None)] == [RecordingTask(0), RecordingTask(1)]
+    schedule.complete(RecordingTask(0))
+    schedule.complete(RecordingTask(1))
+    first = RecordingTask(0, 0)
+    assert [schedule.take(1), schedule.take(0)] == [RecordingTask(1, 0), first]
+    schedule.complete(RecordingTask(1, 0))
+    for task in (RecordingTask(1, 1), RecordingTask(2)):
         assert schedule.take(1) == task
         schedule.complete(task)
-    assert schedule.take(1) == Task(2, 0)
+    assert schedule.take(1) == RecordingTask(2, 0)
     schedule.complete(first)
-    assert schedule.take(0) == Task(0, 1)
-    schedule.complete(Task(0, 1))
-    assert schedule.take(0) == Task(2, 1)
+    assert schedule.take(0) == RecordingTask(0, 1)
+    schedule.complete(RecordingTask(0, 1))
+    assert schedule.take(0) == RecordingTask(2, 1)
 
 
-def fail(schedule: Schedule, task: Task) -> None:
+def fail(schedule: Schedule, task: RecordingTask) -> None:
     for _ in range(TRIES):
         while schedule.take(None) != task:
             pass
@@ -226,24 +242,36 @@ def fail(schedule: Schedule, task: Task) -> None:
 
 def test_a_camera_that_always_fails_is_a_failure_and_the_rest_is_done() -> None:
     schedule = Schedule(2, 2, chained=True, ahead=1)
-    assert schedule.take(None) == Task(0)
-    schedule.complete(Task(0))
-    assert schedule.take(0) == Task(0, 0)
+    assert schedule.take(None) == RecordingTask(0)
+    schedule.complete(RecordingTask(0))
+    assert schedule.take(0) == RecordingTask(0, 0)
     for _ in range(TRIES):
-        schedule.fail(Task(0, 0), "broken")
+        schedule.fail(RecordingTask(0, 0), "broken")
         if not schedule.failures:
-            assert schedule.take(0) == Task(0, 0)
-    assert schedule.failures == [(Task(0, 0), "broken")]
-    ended, _ = work(schedule, 1, chained=True, seed=0, before=(Task(0),))
-    assert ended == [Task(0), Task(0, 1), Task(1), Task(1, 0), Task(1, 1)]
+            assert schedule.take(0) == RecordingTask(0, 0)
+    assert schedule.failures == [(RecordingTask(0, 0), "broken")]
+    ended, _ = work(schedule, 1, chained=True, seed=0, before=(RecordingTask(0),))
+    assert ended == [
+        RecordingTask(0),
+        RecordingTask(0, 1),
+        RecordingTask(1),
+        RecordingTask(1, 0),
+        RecordingTask(1, 1),
+    ]
 
 
 @pytest.mark.parametrize(
-    ("chained", "rest"), [(False, [Task(1), Task(1, 0), Task(2), Task(2, 0)]), (True, [])]
+    ("chained", "rest"),
+    [
+        (False, [RecordingTask(1), RecordingTask(1, 0), RecordingTask(2), RecordingTask(2, 0)]),
+        (True, []),
+    ],
 )
-def test_a_truth_that_always_fails_stops_what_stands_on_it(chained: bool, rest: list[Task]) -> None:
+def test_a_truth_that_always_fails_stops_what_stands_on_it(
+    chained: bool, rest: list[RecordingTask]
+) -> None:
     schedule = Schedule(3, 1, chained=chained, ahead=1)
-    fail(schedule, Task(0))
+    fail(schedule, RecordingTask(0))
     ended, _ = work(schedule, 1, chained=chained and bool(rest), seed=0)
     assert ended == rest
-    assert schedule.failures == [(Task(0), "broken")]
+    assert schedule.failures == [(RecordingTask(0), "broken")]

@@ -18,7 +18,7 @@ from sabench.dataset.sample_set import SampleSet
 from sabench.dataset.shards import plan_shards, split_of
 from sabench.simulation import shard_job
 from sabench.simulation.recording import parts as recording_parts
-from sabench.simulation.recording.schedule import Task, UnfinishedError
+from sabench.simulation.recording.schedule import RecordingTask, UnfinishedError
 from sabench.simulation.shard_job import stream
 from tests.conftest import Command
 from tests.helpers.commands import refuse, succeed
@@ -153,7 +153,7 @@ def test_other_versions_of_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def begin(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done = shard_job.ShardMaker.__call__
 
-    def stops(self: Any, task: Task) -> None:
+    def stops(self: Any, task: RecordingTask) -> None:
         if task.frame:
             raise KeyboardInterrupt
         done(self, task)

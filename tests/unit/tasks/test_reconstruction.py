@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sabench.api import Reconstruction
-from sabench.api.truth import View
-from sabench.metrics.reconstruction_error import SCORES, brightness, score_frame, true_field
+from sabench.api.truth import ParticleView
+from sabench.metrics.reconstruction_error import SCORE_KEYS, brightness, score_frame, true_field
 from sabench.simulation.in_memory import Shot, simulate
 from tests.helpers.particle_scenes import cloud, make_scene
 
@@ -23,7 +23,7 @@ def test_truth_is_perfect_and_empty_is_the_floor_by_both_rules(shot: Shot) -> No
     field = true_field(shot.observation.grid, shot.particles, shot.views)
     best = scores_of(shot, Reconstruction(field, shot.particles.position_mm))
     floor = scores_of(shot, Reconstruction(np.zeros_like(field)))
-    assert tuple(best) == tuple(floor) == SCORES
+    assert tuple(best) == tuple(floor) == SCORE_KEYS
     for rule in ("", "peak_"):
         shares = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
         keys = [rule + key for key in shares]
@@ -39,7 +39,9 @@ def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
     grid = shot.observation.grid
     places = np.column_stack([np.arange(30.0, 60.0, 3.0), np.full(10, 50.0), np.full(10, 10.0)])
     particles = cloud(np.asarray(grid.low_mm) + places * grid.voxel_mm)
-    views = [View(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10, dtype=np.bool_))]
+    views = [
+        ParticleView(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10, dtype=np.bool_))
+    ]
     found = score_frame(grid, particles, views, Reconstruction(true_field(grid, particles, views)))
     assert found["recall"] == pytest.approx(0.0)
     assert found["peak_recall"] == found["peak_precision"] == pytest.approx(1.0)
@@ -60,5 +62,5 @@ def test_brightness_is_relative_to_each_camera_and_the_mean_of_those_that_see() 
         views = []
         for row in photons:
             one, seen = np.ones(len(row)), np.ones(len(row), dtype=np.bool_)
-            views.append(View(np.zeros((len(row), 2)), np.array(row), one, seen))
+            views.append(ParticleView(np.zeros((len(row), 2)), np.array(row), one, seen))
         np.testing.assert_allclose(brightness(views), expected)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from sabench.utils.class_source import constant, find_class, import_fault, parse
+from sabench.utils.class_source import constant, find_class, import_fault, parse_file
 from sabench.utils.errors import InputError
 
 SOURCE = '''
@@ -30,7 +30,7 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_an_attribute_is_inherited_within_a_file_and_from_the_package(tmp_path: Path) -> None:
-    source = parse(write(tmp_path, SOURCE.format(base="Flow")))
+    source = parse_file(write(tmp_path, SOURCE.format(base="Flow")))
     found: Any = find_class(source, "named")
     assert found.summary == "Another line."
     assert constant(source, found, "makes") == "flow"
@@ -39,8 +39,8 @@ def test_an_attribute_is_inherited_within_a_file_and_from_the_package(tmp_path: 
 
 def test_only_one_class_may_have_the_name(tmp_path: Path) -> None:
     twice = SOURCE.format(base="Flow") + '\nclass Again(Base):\n    name = "named"\n'
-    assert find_class(parse(write(tmp_path, twice)), "named") is None
-    assert find_class(parse(write(tmp_path, SOURCE.format(base="Flow"))), "other") is None
+    assert find_class(parse_file(write(tmp_path, twice)), "named") is None
+    assert find_class(parse_file(write(tmp_path, SOURCE.format(base="Flow"))), "other") is None
 
 
 @pytest.mark.parametrize(
@@ -56,10 +56,10 @@ def test_only_one_class_may_have_the_name(tmp_path: Path) -> None:
     ],
 )
 def test_imports_that_must_fail_are_found(tmp_path: Path, statement: str, fault: str) -> None:
-    assert import_fault(parse(write(tmp_path, statement))) == fault
+    assert import_fault(parse_file(write(tmp_path, statement))) == fault
 
 
 @pytest.mark.parametrize("text", ["class Named(:\n", "x = '\0'"])
 def test_what_is_no_python_is_bad_input(tmp_path: Path, text: str) -> None:
     with pytest.raises(InputError, match=r"named\.py"):  # Python's own words follow
-        parse(write(tmp_path, text))
+        parse_file(write(tmp_path, text))

@@ -12,7 +12,7 @@ from sabench.geometry.grid import divergence, vorticity
 from sabench.scenes.materials import Inertia
 from sabench.utils.arrays import F64
 from sabench.worlds.advection import InertialFlow, advect, move_particles
-from sabench.worlds.tracers import Motion, lattice, require_flow
+from sabench.worlds.tracers import Motion, require_flow, sample_lattice
 from tests.helpers.refusals import refused
 from tests.unit.worlds.test_tracers import ABC, moving_scene
 
@@ -231,7 +231,7 @@ def test_a_scene_s_particles_move_by_themselves_and_its_flow_is_the_fluid_s() ->
     slip = Inertia(**inertia).response_s(first.diameter_mm)[:, None] * force
     assert np.abs(slip).max() > 2.0
     assert_allclose(first.velocity_mm_s, fluid + slip, atol=1e-5)
-    field, _ = lattice(scene, 0, (5.0, 5.0, 2.0))
+    field, _ = sample_lattice(scene, 0, (5.0, 5.0, 2.0))
     exact = require_flow(scene).velocity(field.positions_mm.reshape(-1, 3), 0.0)
     assert_array_equal(field.velocity_mm_s.reshape(-1, 3), exact)
 

@@ -22,7 +22,7 @@ from sabench.utils.arrays import F64
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.overlaps import contact, contains, overlapping, shapes_of
 from sabench.worlds.library.plunging_jet import LN2, JetLaw
-from sabench.worlds.library.random_packing import place
+from sabench.worlds.library.random_packing import place_ellipsoids
 from sabench.worlds.tracers import Motion, require_flow
 from tests.helpers.refusals import refused
 
@@ -94,7 +94,7 @@ def test_no_room_is_said() -> None:
         return np.zeros((len(which), tries, 3))
 
     with refused("spot", "2"):
-        place(np.ones((2, 3)), np.tile(np.eye(3), (2, 1, 1)), propose, "spot")
+        place_ellipsoids(np.ones((2, 3)), np.tile(np.eye(3), (2, 1, 1)), propose, "spot")
 
 
 def test_a_field_moves_as_a_whole() -> None:

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import sabench
-from sabench.algorithms.calibration.target_detection import detect
+from sabench.algorithms.calibration.target_detection import detect_target
 from sabench.api.truth import Target
 from sabench.dataset.verification import verify
 from sabench.geometry.camera import Camera, aim
@@ -22,7 +22,7 @@ from sabench.scenes.calibration import Detection
 from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.targets_traced import marker_bits, render
 from sabench.utils.arrays import F64, U16
-from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
+from sabench.worlds.calibration_targets import exact_pixels, found_pixels, pose_target, prior
 from tests.helpers.calibration_cases import calibration_scene
 from tests.helpers.refusals import refused
 
@@ -64,7 +64,7 @@ def test_a_rendered_board_is_found_where_it_is(
     """Mitsuba's rays, our projection and OpenCV's detectors agree to hundredths of a pixel."""
     camera, target = small_camera(wall), BOARDS[pattern]
     grey = photographed(render(camera, target, POSE, LAMPS, MIDDLE, 16), noise=3.0)
-    errors = detect(grey, target) - camera.project(POSE(target.points_mm))[0]
+    errors = detect_target(grey, target) - camera.project(POSE(target.points_mm))[0]
     assert np.isfinite(errors).all()
     assert np.abs(errors.mean(axis=0)).max() < bias
     assert errors.std(axis=0).max() < spread
@@ -79,7 +79,9 @@ def photographed(picture: F64, level: float = 0.0, noise: float = 0.0) -> U16:
 def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
     camera, target = small_camera(), BOARDS["wand"]
     grey = photographed(render(camera, target, POSE, LAMPS, MIDDLE, 16))
-    assert np.abs(detect(grey, target) - camera.project(POSE(target.points_mm))[0]).max() < 0.5
+    assert (
+        np.abs(detect_target(grey, target) - camera.project(POSE(target.points_mm))[0]).max() < 0.5
+    )
 
 
 @pytest.mark.slow
@@ -89,7 +91,7 @@ def test_small_glowing_balls_are_found_where_they_are() -> None:
     glow = LAMPS.model_copy(update={"even": 1.0})
     picture = render(camera, target, POSE, glow, MIDDLE, 16)
     assert picture.max() == pytest.approx(0.7, rel=0.05)
-    found = detect(photographed(picture, 50.0, 5.0), target)
+    found = detect_target(photographed(picture, 50.0, 5.0), target)
     assert np.abs(found - camera.project(POSE(target.points_mm))[0]).max() < 0.15
 
 
@@ -131,22 +133,22 @@ def test_a_board_s_points_keep_their_names_however_it_lies(quarters: int) -> Non
     for x, y in np.rint(16.0 * pixels).astype(int).tolist():
         cv2.circle(image, (x, y), 20 * 16, 20, -1, cv2.LINE_AA, 4)
     rough = target.points_mm[:, :2] @ turn.T * 17.0 + [120.0, 410.0]
-    found = detect(image.astype(np.uint16) * 10, target, rough)
+    found = detect_target(image.astype(np.uint16) * 10, target, rough)
     assert_allclose(found, pixels, atol=0.3)
 
 
 def test_boards_stay_in_the_volume_and_move_through_it() -> None:
     scene = calibration_scene(targets={"pitch_mm": 3.0, "tilt_deg": 20.0}, frames=7)
-    points = place(scene, 3).points_mm
+    points = pose_target(scene, 3).points_mm
     half = np.asarray(scene.volume.size_mm) / 2.0
     assert (np.abs(points - scene.volume.center_mm) <= half + 1e-9).all()
     assert (np.diff(points[..., 2].mean(axis=1)) > 3.0).all()
-    assert_array_equal(place(scene, 3).points_mm, points)
+    assert_array_equal(pose_target(scene, 3).points_mm, points)
 
 
 def test_what_detection_does_to_points() -> None:
     scene = calibration_scene()
-    exact = exact_pixels(build_rig(scene).cameras[0], place(scene, 1).points_mm)
+    exact = exact_pixels(build_rig(scene).cameras[0], pose_target(scene, 1).points_mm)
     found, outliers = found_pixels(Detection(noise_px=0.2), exact, 1, 0)
     assert (found - exact).std() == pytest.approx(0.2, rel=0.05)
     assert not outliers.any()
@@ -162,7 +164,7 @@ def test_what_detection_does_to_points() -> None:
 
 def test_something_may_hide_a_part_of_a_board() -> None:
     scene = calibration_scene()
-    exact = exact_pixels(build_rig(scene).cameras[0], place(scene, 1).points_mm)
+    exact = exact_pixels(build_rig(scene).cameras[0], pose_target(scene, 1).points_mm)
     found, _ = found_pixels(Detection(hidden=0.99), exact, 2, 0)
     seen = np.isfinite(found[..., 0])
     assert seen.mean(axis=1).min() > 0.1
@@ -176,13 +178,13 @@ def test_something_may_hide_a_part_of_a_board() -> None:
 def test_a_prior_holds_known_points_along_their_axes_only() -> None:
     given = {"frame": 1, "point": 5, "axes": "xz", "sigma_mm": 0.02}
     scene = calibration_scene(calibration={"known": [given]})
-    placed = place(scene, 1)
+    placed = pose_target(scene, 1)
     known = prior(scene, placed, 1)
     assert np.isfinite(known.known_mm).sum() == 2
     assert_allclose(known.known_mm[1, 5, [0, 2]], placed.points_mm[1, 5, [0, 2]], atol=0.1)
     wrong = calibration_scene(calibration={"known": [{"frame": 9, "point": 5}]})
     with refused("calibration.known.0", "5"):
-        prior(wrong, place(wrong, 1), 1)
+        prior(wrong, pose_target(wrong, 1), 1)
 
 
 def test_a_target_s_data_set_is_whole_and_holds_what_was_shown(tmp_path: Path) -> None:
@@ -191,7 +193,7 @@ def test_a_target_s_data_set_is_whole_and_holds_what_was_shown(tmp_path: Path) -
     assert verify(data.root) == []
     case, placed = data.calibration_case(), data.placed()
     exact, outliers = data.sightings()
-    assert_array_equal(placed.points_mm, place(scene, 4).points_mm)
+    assert_array_equal(placed.points_mm, pose_target(scene, 4).points_mm)
     assert case.target == placed.target
     errors: F64 = case.pixels - exact
     assert np.nanstd(errors) == pytest.approx(0.1, rel=0.05)

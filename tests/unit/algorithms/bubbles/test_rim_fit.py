@@ -16,11 +16,13 @@ PLACE = np.array([0.5, -0.4, 36.0])
 SHAPE = (4, ROWS, COLUMNS)
 
 
-def model_of(*shown: F64) -> rim_fit.Model:
-    model = rim_fit.Model(np.ones(SHAPE, np.float32), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
+def model_of(*shown: F64) -> rim_fit.RimModel:
+    model = rim_fit.RimModel(
+        np.ones(SHAPE, np.float32), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE
+    )
     for one in shown:
         rim_fit.darken(model, one, 1.0)
-    return rim_fit.Model(np.exp(model.logs), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
+    return rim_fit.RimModel(np.exp(model.logs), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
 
 
 @pytest.mark.slow_but_first
@@ -91,7 +93,7 @@ def test_a_spheroid_is_found_again() -> None:
     column, row = CAMERAS[1].project(PLACE[None])[0][0].astype(int)
     model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
     start = true + np.array([0.15, -0.1, 0.2, 0.1, 0.05, -0.1, 0.05])
-    found = rim_fit.fit(model, start, 40)
+    found = rim_fit.fit_bubble(model, start, 40)
     assert_allclose(found[:3], PLACE, atol=0.03)
     assert_allclose(np.exp(found[3:5]), [1.0, 0.75], rtol=0.03)
     assert_allclose(found[5:], true[5:], atol=0.06)

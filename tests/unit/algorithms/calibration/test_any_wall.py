@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 from sabench import plugins
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
-from sabench.algorithms.calibration.cramer_rao import limit
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.cramer_rao import compute_bound
+from sabench.algorithms.calibration.parameters import FreeParameters, WallFrame
 from sabench.algorithms.calibration.problem import fit_free_motion
 from sabench.api import DeclinedError
 from sabench.geometry.rigid_motion import rotation_matrices
@@ -44,9 +44,9 @@ def scene_of(kind: str) -> Scene:
     return parse_scene(values, kind)
 
 
-def bundle(kind: str) -> tuple[Frame, Any, BoardImages]:
+def bundle(kind: str) -> tuple[WallFrame, Any, BoardImages]:
     case, cameras, points, exact = case_of(scene_of(kind))
-    frame, seen = Frame.from_cameras(cameras, points), board_images(case, exact)
+    frame, seen = WallFrame.from_cameras(cameras, points), board_images(case, exact)
     noise = np.random.default_rng(1).normal(0.0, 0.1, exact.shape)
     state = frame.state(case.target.points_mm, points)
     return frame, state, replace(seen, pixels=seen.pixels + noise)
@@ -65,7 +65,7 @@ def test_a_plane_wall_gives_the_kernels_equations(scale: float) -> None:
         root = np.abs(first).max()
         assert_allclose(second, first, rtol=1e-5, atol=1e-7 * root)
     assert_allclose(misses(state, cameras), misses(state, seen), rtol=0, atol=1e-9)
-    bounds = [limit(state, each, FREE, 0.1) for each in (seen, cameras)]
+    bounds = [compute_bound(state, each, FREE, 0.1) for each in (seen, cameras)]
     assert bounds[1].reprojection_px == pytest.approx(bounds[0].reprojection_px, rel=1e-4)
     assert_allclose(bounds[1].point_std_mm, bounds[0].point_std_mm, rtol=1e-3)
 

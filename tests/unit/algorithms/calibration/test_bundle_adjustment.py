@@ -8,10 +8,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.calibration import bundle_adjustment, kernels
-from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.cramer_rao import compute_bound
 from sabench.algorithms.calibration.joint_fit import adjust
 from sabench.algorithms.calibration.normal_equations import spreads
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, rotation_matrices
 from sabench.utils.arrays import F64
@@ -27,9 +27,9 @@ ALL = FreeParameters(True, ("k1", "k2", "p1", "p2", "k3"), (0, 1, 2), (0,), tilt
 NOISELESS = {"detection": None, "calibration": {"points": 0.0}}
 
 
-def truth(**changes: Any) -> tuple[Frame, State, bundle_adjustment.BoardImages]:
+def truth(**changes: Any) -> tuple[WallFrame, State, bundle_adjustment.BoardImages]:
     case, cameras, points, exact = case_of(calibration_scene(**(NOISELESS | changes)))
-    frame = Frame.from_cameras(cameras, points)
+    frame = WallFrame.from_cameras(cameras, points)
     return frame, frame.state(case.target.points_mm, points), board_images(case, exact)
 
 
@@ -201,7 +201,7 @@ def test_noise_comes_out_at_the_bound() -> None:
     """Of the true reprojection error, the points' scatter and mean depth, in sixteen draws."""
     _, state, seen = truth()
     free, noise, rng = FreeParameters(), 0.5, np.random.default_rng(5)
-    bound = limit(state, seen, free, noise)
+    bound = compute_bound(state, seen, free, noise)
     true, scatter, depth = [], [], []
     points = state.points(seen.board).reshape(-1, 3)
     for _ in range(16):
@@ -222,7 +222,7 @@ def test_the_measured_error_tells_the_true_one() -> None:
     """True over measured is sqrt(p / (N - p)) for p unknowns and N equations."""
     _, state, seen = truth()
     rng = np.random.default_rng(8)
-    bound, ratios = limit(state, seen, FreeParameters(), 0.3), []
+    bound, ratios = compute_bound(state, seen, FreeParameters(), 0.3), []
     for _ in range(6):
         measured = noisy(seen, 0.3, rng)
         found = bundle_adjustment.refine(state, measured, FreeParameters()).state

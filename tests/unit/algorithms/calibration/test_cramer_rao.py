@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.calibration.cramer_rao import _inverse, _mean_length, _whole
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.parameters import FreeParameters, WallFrame
 from sabench.api import CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.geometry.camera import Camera
@@ -118,7 +118,7 @@ def information_of(scene: Scene, free: FreeParameters, seed: int = 1) -> F64:
     """Return the information at the truth."""
     case, cameras, points, exact = case_of(scene, seed)
     seen = board_images(case, np.where(case.found[..., None], exact, np.nan))
-    state = Frame.from_cameras(cameras, points).state(case.target.points_mm, points)
+    state = WallFrame.from_cameras(cameras, points).state(case.target.points_mm, points)
     return _whole(state, seen, free)
 
 

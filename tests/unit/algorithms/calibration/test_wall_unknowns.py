@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
-from sabench.algorithms.calibration.cramer_rao import _inverse, _whole, limit
+from sabench.algorithms.calibration.cramer_rao import _inverse, _whole, compute_bound
 from sabench.algorithms.calibration.joint_fit import fit_jointly, make_prior
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.algorithms.calibration.resection import place_boards
 from sabench.api import CalibrationCase
@@ -67,14 +67,14 @@ def test_gradients_with_known_cameras_are_those_of_the_cost() -> None:
 
 def bound_of(case: CalibrationCase, cameras: tuple[Camera, ...], places: F64) -> tuple[F64, F64]:
     """Return the covariance of the shared unknowns, and their bound, at the truth."""
-    frame, free = Frame.from_cameras(cameras, places), FreeParameters.from_case(case)
+    frame, free = WallFrame.from_cameras(cameras, places), FreeParameters.from_case(case)
     state, board = frame.state(case.target.points_mm, places), case.target.points_mm
     anchors = make_anchors(case, frame, 0.05)
     weights = np.ones(case.pixels.shape[:3])
     seen = BoardImages(board, np.nan_to_num(case.pixels), weights, anchors)
     covariance, _, _ = _inverse(_whole(state, seen, free))
     count = len(free.columns(len(state.indices))[1])
-    return covariance[:count, :count], limit(state, seen, free, 0.05).shared_std
+    return covariance[:count, :count], compute_bound(state, seen, free, 0.05).shared_std
 
 
 @pytest.mark.parametrize("unknown", [("wall",), ("wall", "thickness")])

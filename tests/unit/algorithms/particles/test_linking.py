@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from sabench.algorithms.particles.linking import GATE, REACH, assign, link
+from sabench.algorithms.particles.linking import GATE, NEIGHBOUR_REACH, assign, link
 from sabench.utils.arrays import F64
 from tests.helpers.bubble_sequences import (
     EDGE,
@@ -37,7 +37,7 @@ def test_streams_are_followed_beyond_the_distance_of_neighbours(
 
 def test_where_it_ends() -> None:
     """Displacements beyond the reach, and random motion over a part of neighbours' distance."""
-    assert link_scores(made := make_sequence(1.4 * REACH), link_sequence(made))[0] < 0.1
+    assert link_scores(made := make_sequence(1.4 * NEIGHBOUR_REACH), link_sequence(made))[0] < 0.1
     assert link_scores(made := make_sequence(0.2, "random"), link_sequence(made))[0] > 0.97
     assert link_scores(made := make_sequence(1.0, "random"), link_sequence(made))[0] < 0.6
 

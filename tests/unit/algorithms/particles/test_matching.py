@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sabench.algorithms.calibration.disparity import match, pair_up
+from sabench.algorithms.calibration.disparity import match_peaks, pair_up
 from sabench.algorithms.particles import matching
 from sabench.api import Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
@@ -94,7 +94,7 @@ def matched(maps: Maps, peaks: tuple[Peaks, ...], radius: float) -> Any:
     """Positions and errors of the sets that self-calibration matches."""
     positions, errors = np.zeros((500, 3)), np.zeros((500, 4, 2))
     hits, order = np.zeros((500, 4), dtype=np.int64), np.arange(len(peaks[0].pixels))
-    count = match(maps, peaks, order, radius, 2, 200, positions, hits, errors)
+    count = match_peaks(maps, peaks, order, radius, 2, 200, positions, hits, errors)
     return positions[:count], errors[:count]
 
 
@@ -176,7 +176,7 @@ def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back()
         peaks = peaks_of(tuple(pixels))
         positions, errors = np.zeros((5, 3)), np.zeros((5, 4, 2))
         hits, order = np.zeros((5, 4), dtype=np.int64), np.arange(1)
-        assert match(maps, peaks, order, 0.5, 2, 3, positions, hits, errors) == 1
+        assert match_peaks(maps, peaks, order, 0.5, 2, 3, positions, hits, errors) == 1
         assert_allclose(positions[0], point, atol=1e-6)
 
 

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from reproduction.edge_depth import count_views, edge_scores, find_rim, silhouette
 from sabench.algorithms.refocus import find_edges, refocus_sum
-from sabench.algorithms.refocus.edges import gradient
+from sabench.algorithms.refocus.edges import plane_gradient
 from sabench.api.truth import Solid
 from sabench.geometry.camera import Camera, aim
 from sabench.geometry.grid import Grid
@@ -67,7 +67,7 @@ def test_the_gradient_of_a_step_is_its_height() -> None:
     """An edge blurred by s voxels has the gradient of one of height h / sqrt(1 + s^2)."""
     for blur in (1.0, 2.0):
         row = 0.7 * ndtr((np.arange(31) - 15.0) / blur)
-        along_x, along_y = gradient(np.tile(row, (1, 31, 1)).astype(np.float32))
+        along_x, along_y = plane_gradient(np.tile(row, (1, 31, 1)).astype(np.float32))
         assert along_x[0, 15, 15] == pytest.approx(0.7 / np.hypot(1.0, blur), rel=0.005)
         assert np.abs(along_y).max() < 1e-6
 

@@ -12,7 +12,7 @@ from benchmarks.renderers import Comparison, compare_renderers
 from sabench.api import Material
 from sabench.api.truth import Bubbles, Solid
 from sabench.scenes import build_rig, find, parse_scene
-from sabench.simulation.rendering.bubble_stage import Panel, Stack
+from sabench.simulation.rendering.bubble_stage import LightPanel, Stack
 from sabench.simulation.rendering.bubbles_traced import STREAMS, PassTally
 from sabench.utils import backend
 from sabench.utils.arrays import F64
@@ -50,7 +50,7 @@ def device_of(radius: float) -> Any:
     return SimpleNamespace(
         front=layers_of(front),
         rear=None,
-        panel=panel_of(Panel(np.array([0.0, 0.0, 80.0]), edges, 2.0)),
+        panel=panel_of(LightPanel(np.array([0.0, 0.0, 80.0]), edges, 2.0)),
         normal=mi.Vector3f(0.0, 0.0, 1.0),
         radius=mi.Float(radius),
     )

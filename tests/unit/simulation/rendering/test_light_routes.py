@@ -135,7 +135,7 @@ def test_both_renderers_mirror_alike_and_without_the_key_nothing_is_mirrored() -
         changes = wall if mirrors is None else wall | {"mirrors": mirrors}
         scene = make_scene(wall=changes, particles={"count": 12, "diameter_spread": 0.0})
         frame = Frames(scene, build_rig(scene), 3, renderer).at(0)
-        views.append(camera_view.render(frame, 1).photons)
+        views.append(camera_view.render_camera_view(frame, 1).photons)
     traced, splatted, plain = views
     extra = splatted - plain
     assert extra.min() > -1e-9

@@ -268,7 +268,7 @@ def test_both_renderers_add_the_rings() -> None:
     plain = make_scene(particles={"count": 6})
     rig, found = build_rig(scene), []
     for each, renderer in ((scene, "mitsuba"), (scene, "splat"), (plain, "splat")):
-        view = camera_view.render(Frames(each, rig, 1, renderer).at(0), 0)
+        view = camera_view.render_camera_view(Frames(each, rig, 1, renderer).at(0), 0)
         found.append(view.photons)
     traced, splatted, gaussian = found
     assert np.abs(traced - splatted).max() < 0.03 * splatted.max()

@@ -9,7 +9,12 @@ from pydantic import ValidationError
 from scipy import stats
 
 from sabench.scenes.sensor import Sensor
-from sabench.simulation.rendering.sensor import Pattern, expose, full_well_photons, make_pattern
+from sabench.simulation.rendering.sensor import (
+    FixedPattern,
+    expose,
+    full_well_photons,
+    make_pattern,
+)
 from sabench.utils.arrays import F64, I64, U16
 from sabench.utils.rng import stream
 from tests.helpers.refusals import refused
@@ -21,7 +26,7 @@ _SHAPE, _MIDDLE, _UNLIKELY = (500, 1000), 30000, 1e-4
 def electrons(mean: float, seed: int, shape: tuple[int, int] = _SHAPE) -> I64:
     shift = max(0, round(mean) - _MIDDLE)
     one, none = np.ones(shape), np.zeros(shape)
-    pattern = Pattern(one, none, none - shift)
+    pattern = FixedPattern(one, none, none - shift)
     grey = expose(_COUNTER, np.full(shape, mean), np.random.default_rng(seed), pattern)
     return grey.astype(np.int64).ravel() + shift
 
@@ -84,7 +89,7 @@ def test_very_many_electrons_are_normal() -> None:
     mean, shape = 1e13, (300, 300)
     sensor = _COUNTER.model_copy(update={"full_well_e": 2e13, "gain_dn_e": 4000.0 / mean**0.5})
     one, none = np.ones(shape), np.zeros(shape)
-    pattern = Pattern(one, none, none - mean + 8.0 * mean**0.5)
+    pattern = FixedPattern(one, none, none - mean + 8.0 * mean**0.5)
     grey = expose(sensor, np.full(shape, mean), np.random.default_rng(3), pattern)
     assert stats.kstest(grey.ravel() / 4000.0 - 8.0, "norm").pvalue > _UNLIKELY
 
@@ -221,7 +226,7 @@ def sensor_with(**flaws: float) -> Sensor:
     return Sensor.model_validate(_BASE | flaws)
 
 
-def take(sensor: Sensor, photons: float, pattern: Pattern, seed: int = 1) -> F64:
+def take(sensor: Sensor, photons: float, pattern: FixedPattern, seed: int = 1) -> F64:
     light, rng = np.full(_SMALL, photons), np.random.default_rng(seed)
     return np.stack([expose(sensor, light, rng, pattern) for _ in range(_STACK)]).astype(float)
 

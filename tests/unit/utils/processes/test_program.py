@@ -14,8 +14,8 @@ import pytest
 
 from sabench.utils.errors import InputError
 from sabench.utils.processes.program import (
-    Limits,
-    check_end,
+    ProgramLimits,
+    check_exit_code,
     describe_end,
     kill_tree,
     last_line,
@@ -44,7 +44,7 @@ def test_time_and_memory_are_measured_from_outside_with_children(folder: Path) -
     body = "held = bytearray(150_000_000); import time; time.sleep(0.5)"
     child = f"child = subprocess.Popen([sys.executable, '-c', {body!r}])\nchild.wait()"
     for each in (body, child):
-        cost = run_limited(program(folder, each), folder, Limits(), "p")
+        cost = run_limited(program(folder, each), folder, ProgramLimits(), "p")
         assert cost.seconds >= 0.5
         assert 150.0 < cost.peak_mb < 400.0
 
@@ -55,7 +55,7 @@ def test_it_gets_a_clean_environment(folder: Path, monkeypatch: pytest.MonkeyPat
         "print(sorted(os.environ), os.environ['HOME'] == os.getcwd(), sys.stdin.read() == '', "
         "os.getsid(0) == os.getpid(), file=open('seen', 'w'))"
     )
-    run_limited(program(folder, body), folder, Limits(), "p")
+    run_limited(program(folder, body), folder, ProgramLimits(), "p")
     names, *facts = (folder / "seen").read_text().rsplit(maxsplit=3)
     assert "'PATH'" in names
     assert "SECRET'" not in names
@@ -74,18 +74,20 @@ ENDLESS = "while True: print('x' * 1000, file=sys.stderr)"
 @pytest.mark.parametrize(
     ("body", "limits", "key"),
     [
-        ("time.sleep(60)", Limits(time_s=0.4), "0.4 s"),
-        (HOLD, Limits(memory_mb=100.0), "100 MB"),
-        ("sys.exit('no such camera')", Limits(), "no such camera"),
-        ("print('only this')\nsys.exit(3)", Limits(), "only this"),
-        ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "SIGSEGV"),
-        (ONE_FILE, Limits(output_mb=1.0), "1 MB"),
-        (FILES, Limits(output_mb=1.0), "1 MB"),
-        (ENDLESS, Limits(time_s=0.5), "xxx"),
-        (CONTROLS, Limits(), "yyy"),
+        ("time.sleep(60)", ProgramLimits(time_s=0.4), "0.4 s"),
+        (HOLD, ProgramLimits(memory_mb=100.0), "100 MB"),
+        ("sys.exit('no such camera')", ProgramLimits(), "no such camera"),
+        ("print('only this')\nsys.exit(3)", ProgramLimits(), "only this"),
+        ("os.kill(os.getpid(), signal.SIGSEGV)", ProgramLimits(), "SIGSEGV"),
+        (ONE_FILE, ProgramLimits(output_mb=1.0), "1 MB"),
+        (FILES, ProgramLimits(output_mb=1.0), "1 MB"),
+        (ENDLESS, ProgramLimits(time_s=0.5), "xxx"),
+        (CONTROLS, ProgramLimits(), "yyy"),
     ],
 )
-def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, key: str) -> None:
+def test_breaches_end_in_one_sentence(
+    folder: Path, body: str, limits: ProgramLimits, key: str
+) -> None:
     with refused(key) as caught:
         run_limited(program(folder, body), folder, limits, "p")
     assert str(caught.value).startswith("program p: ")
@@ -119,10 +121,10 @@ while not [name for name in os.listdir() if name.isdigit()]: time.sleep(0.01)
 def test_nothing_that_it_started_is_left(folder: Path, escape: str, end: str) -> None:
     body = DAEMON.format(escape=escape, end=end)
     if end == "pass":
-        run_limited(program(folder, body), folder, Limits(), "p")
+        run_limited(program(folder, body), folder, ProgramLimits(), "p")
     else:
         with pytest.raises(InputError):
-            run_limited(program(folder, body), folder, Limits(time_s=1.0), "p")
+            run_limited(program(folder, body), folder, ProgramLimits(time_s=1.0), "p")
     assert list(folder.glob("[0-9]*"))
     deadline = time.monotonic() + 5.0
     while alive(folder) and time.monotonic() < deadline:
@@ -135,12 +137,12 @@ def test_what_cannot_be_started(folder: Path) -> None:
     path.write_text("neither a script nor a binary")
     path.chmod(0o755)
     with refused("p", "Exec format error"):
-        run_limited([str(path)], folder, Limits(), "p")
+        run_limited([str(path)], folder, ProgramLimits(), "p")
 
 
 def test_limits_must_be_positive() -> None:
     assert limits_of(None, None) is None
-    assert limits_of(None, 5.0) == Limits(memory_mb=5.0)
+    assert limits_of(None, 5.0) == ProgramLimits(memory_mb=5.0)
     for bad in (0.0, -1.0, float("inf"), float("nan")):
         with refused():
             limits_of(bad, None)
@@ -218,9 +220,9 @@ def test_code_that_fails_or_hangs_is_a_sentence() -> None:
 def test_ends_have_names() -> None:
     names = [describe_end(code) for code in (0, 3, -6, -1000)]
     assert names == ["exit code 0", "exit code 3", "signal SIGABRT", "signal 1000"]
-    check_end("it", 0, "")
+    check_exit_code("it", 0, "")
     with refused("it", "2"):
-        check_end("it", 2, "")
+        check_exit_code("it", 2, "")
 
 
 def test_the_last_line_is_printable() -> None:

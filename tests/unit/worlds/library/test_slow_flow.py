@@ -8,7 +8,7 @@ from sabench.api import Solid
 from sabench.api.make import generator_of
 from sabench.utils.arrays import F64
 from sabench.worlds.library.overlaps import contains
-from sabench.worlds.library.slow_flow import Box, SlowFlow, solve
+from sabench.worlds.library.slow_flow import PeriodicBox, SlowFlow, solve_oseen
 from tests.helpers.refusals import refused
 
 _EDGE_MM, _RADIUS_MM = 20.0, 3.0
@@ -23,8 +23,8 @@ def ball(radius_mm: float = _RADIUS_MM) -> Solid:
 
 
 def flow(count: int = 32, viscosity: float = _SLOW) -> SlowFlow:
-    box = Box(np.full(3, -_EDGE_MM / 2.0), _EDGE_MM / count, (count, count, count))
-    return solve([ball()], box, np.array([1.0, 0.0, 0.0]), viscosity)
+    box = PeriodicBox(np.full(3, -_EDGE_MM / 2.0), _EDGE_MM / count, (count, count, count))
+    return solve_oseen([ball()], box, np.array([1.0, 0.0, 0.0]), viscosity)
 
 
 def directions(count: int = 2000) -> F64:
@@ -85,10 +85,10 @@ def test_points_in_a_ball_are_those_within_its_radius() -> None:
 
 
 def test_a_body_smaller_than_a_step_is_refused() -> None:
-    box = Box(np.full(3, -10.0), 2.5, (8, 8, 8))
+    box = PeriodicBox(np.full(3, -10.0), 2.5, (8, 8, 8))
     tiny = Solid(ball(0.5).vertices_mm + 1.2, ball(0.5).faces)
     with refused():
-        solve([tiny], box, np.array([1.0, 0.0, 0.0]), 1.0)
+        solve_oseen([tiny], box, np.array([1.0, 0.0, 0.0]), 1.0)
 
 
 def test_flow_around_refuses_a_box_that_does_not_hold_the_body() -> None:
