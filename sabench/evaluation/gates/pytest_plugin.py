@@ -18,7 +18,7 @@ import pytest
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import GateReport
 
-Check = Callable[..., "Report"]
+Check = Callable[..., "GateReport"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
