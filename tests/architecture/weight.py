@@ -16,7 +16,7 @@ Tables = dict[str, dict[str, "ast.AST | Place"]]
 Def = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 STARTS = {
     "simulate": ("sabench.simulation.in_memory", "simulate"),
-    "score of particles": ("sabench.tasks.particles", "score_frame"),
+    "score of particles": ("sabench.tasks.particles", "score_particle_frame"),
 }
 
 
