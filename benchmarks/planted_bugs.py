@@ -171,7 +171,7 @@ BUGS = (
     ),
     Bug(
         "index of the fluid off by .5 %",
-        "sabench/scenes/tank.py",
+        "sabench/scenes/build.py",
         "media = (spec.air_index, layers, spec.fluid_index)",
         "media = (spec.air_index, layers, 1.005 * spec.fluid_index)",
         case="particles",
@@ -265,7 +265,7 @@ BUGS = (
     ),
     Bug(
         "all cameras behind the first face of a tank",
-        "sabench/scenes/tank.py",
+        "sabench/scenes/build.py",
         "return walls[int(np.argmax(entered))]",
         "return walls[0]",
         tests="tests/unit/scenes/test_tank.py",

@@ -10,7 +10,7 @@ import numpy as np
 
 from sabench.evaluation.reproduction import Item, Row
 from sabench.geometry.projective_camera import fit_projective
-from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
 

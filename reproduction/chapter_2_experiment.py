@@ -20,7 +20,7 @@ from sabench.metrics.vortex_rings import (
     interpolate_field,
     spin_of,
 )
-from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.velocimetry import slice_panel

@@ -14,7 +14,7 @@ from scipy.stats import kstest
 from sabench.algorithms.refocus import refocus_sum
 from sabench.evaluation.reproduction import Item, Row
 from sabench.geometry.grid import Grid
-from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import Shot
 from sabench.utils.arrays import F32, F64, Bool

@@ -13,7 +13,7 @@ from sabench.evaluation.suite_loading import override
 from sabench.metrics.averages import root_mean_square
 from sabench.metrics.reconstruction_error import true_field
 from sabench.metrics.velocity_error import precision_interval
-from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.velocimetry import error_scatter, slice_panel

@@ -14,7 +14,7 @@ from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.calibration_error import fit_alignment
-from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.camera_view import render_camera_view

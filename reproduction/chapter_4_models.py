@@ -13,7 +13,7 @@ from sabench.geometry.polynomial_cameras import fit_planes, fit_soloff
 from sabench.geometry.projective_camera import fit_projective
 from sabench.geometry.refraction import trace_to_points
 from sabench.geometry.rigid_motion import rotation_matrices
-from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.scenes import build_rig
 from sabench.utils.arrays import F64
 

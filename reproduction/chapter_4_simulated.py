@@ -6,7 +6,7 @@ import numpy as np
 
 from sabench.evaluation.reproduction import Item, Row
 from sabench.geometry.camera import Camera
-from sabench.plotting.charts import Curve, Figure, Histogram, Panel
+from sabench.plotting.drawing import Curve, Figure, Histogram, Panel
 from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
 

@@ -19,7 +19,7 @@ from sabench.api import Calibration
 from sabench.evaluation.reproduction import Item
 from sabench.evaluation.suite_loading import override
 from sabench.geometry.rigid_motion import fit_rigid_motion
-from sabench.plotting.charts import Cloud, Curve, Figure, Histogram, Panel, Picture
+from sabench.plotting.drawing import Cloud, Curve, Figure, Histogram, Panel, Picture
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.utils.arrays import F64, U16
 from sabench.utils.progress import progress_bar

@@ -11,7 +11,7 @@ from sabench.api.truth import Bubbles
 from sabench.evaluation.reproduction import Item, Row
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import DEPTH_MM, JetFigures
-from sabench.plotting.charts import Figure, Panel, Space
+from sabench.plotting.drawing import Figure, Panel, Space
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.camera_view import render_camera_view
 from sabench.simulation.frames import FrameContent, Frames

@@ -8,7 +8,7 @@ from sabench.evaluation.reproduction import Item
 from sabench.evaluation.suite_loading import override
 from sabench.metrics.bubble_detection import AnyBubbles
 from sabench.metrics.plunging_jet import JetFigures, analyse, fit_total
-from sabench.plotting.charts import Cloud, Curve, Figure, Panel
+from sabench.plotting.drawing import Cloud, Curve, Figure, Panel
 from sabench.scenes import load_scene
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, FALL, LN2, RISE

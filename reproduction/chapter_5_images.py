@@ -25,7 +25,7 @@ from sabench.api.truth import Bubbles
 from sabench.evaluation.reproduction import Item
 from sabench.geometry.grid import Grid
 from sabench.metrics.averages import mean_of_finite
-from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Picture
+from sabench.plotting.drawing import Cloud, Curve, Figure, Panel, Picture
 from sabench.scenes import load_scene
 from sabench.utils.arrays import F32, F64, I64, Bool
 

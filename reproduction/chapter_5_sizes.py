@@ -9,7 +9,7 @@ from sabench.evaluation.reproduction import Item
 from sabench.metrics.averages import finite_or_none, ratio
 from sabench.metrics.bubble_detection import AnyBubbles, counts_per_frame, sauter_mm, size_scores
 from sabench.metrics.plunging_jet import DEPTH_MM
-from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.utils.arrays import F64
 from sabench.worlds.library.rise_velocity import Liquid, terminal_velocity, transition_diameter_mm
 

@@ -12,7 +12,7 @@ from sabench.evaluation.reproduction import Item
 from sabench.metrics.bubble_detection import detection_scores
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.velocity_error import evaluation_lattice, sample_velocity
-from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import Frames

@@ -20,7 +20,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.projective_camera import Projective
 from sabench.geometry.triangulation import triangulate
-from sabench.plotting.charts import Curve, Figure, Panel, Picture
+from sabench.plotting.drawing import Curve, Figure, Panel, Picture
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.utils.arrays import F32, F64

@@ -15,7 +15,7 @@ from sabench.evaluation.reproduction import Item
 from sabench.geometry.grid import Grid
 from sabench.metrics.bubble_detection import LARGE_MM, AnyBubbles, detection_scores, match_bubbles
 from sabench.metrics.trajectories import trajectory_scores
-from sabench.plotting.charts import Curve, Figure, Panel, Picture, Slice
+from sabench.plotting.drawing import Curve, Figure, Panel, Picture, Slice
 from sabench.scenes import Scene, load_scene
 from sabench.simulation.frames import FrameContent
 from sabench.utils.arrays import F64, I64

@@ -12,7 +12,7 @@ from sabench.evaluation.suite_loading import override
 from sabench.geometry.grid import Grid
 from sabench.geometry.surfaces import Cylinder, Plane, Surface
 from sabench.metrics.code_reading import read_volume, reading, single_views
-from sabench.plotting.charts import Figure, Panel
+from sabench.plotting.drawing import Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.camera_view import render_camera_view
 from sabench.simulation.frames import Frames

@@ -13,7 +13,7 @@ from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suite_loading import load_suite, override
 from sabench.evaluation.suites import SceneCase
 from sabench.geometry.grid import Grid
-from sabench.plotting.charts import Panel, Picture
+from sabench.plotting.drawing import Panel, Picture
 from sabench.scenes import Scene
 from sabench.scenes.cameras import CameraSpec
 from sabench.simulation.in_memory import Shot, simulate

@@ -6,8 +6,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from sabench.plotting.charts import Figure
-from sabench.plotting.drawing import draw
+from sabench.plotting.drawing import Figure, draw
 from sabench.plotting.page import render_page
 from sabench.utils.files import canonical_json, complete_or_nothing
 from sabench.utils.number_text import significant

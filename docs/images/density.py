@@ -14,8 +14,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks.particle_density import CASES, EQUAL, Case
-from sabench.plotting.charts import Curve, Figure, Panel
-from sabench.plotting.drawing import draw
+from sabench.plotting.drawing import Curve, Figure, Panel, draw
 
 _CAMERAS = (4, 9, 13, 25)
 Points = dict[str, list[tuple[float, float]]]  # solver: particles per pixel and F1

@@ -12,17 +12,8 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from sabench.cli import (
-    compare,
-    exchange,
-    importing,
-    maintain,
-    make_data,
-    own_recordings,
-    solve_and_judge,
-)
+from sabench.cli import compare, importing, maintain, make_data, own_recordings, solve_and_judge
 from sabench.cli.options import say
-from sabench.cli.reproduce import reproduce
 from sabench.utils.errors import InputError
 from sabench.utils.installed import lacking
 from sabench.utils.version import __version__
@@ -60,15 +51,15 @@ _PANELS: dict[str, tuple[Callable[..., None], ...]] = {
         solve_and_judge.refocus,
         solve_and_judge.quality,
         solve_and_judge.view,
-        exchange.export,
-        exchange.import_result,
+        importing.export,
+        importing.import_result,
     ),
     "Compare": (
         compare.run,
         compare.check,
         compare.submit,
         compare.board,
-        reproduce,
+        compare.reproduce,
         compare.challenge,
         compare.participate,
     ),

@@ -14,7 +14,7 @@ from sabench.images.image_reading import image_size, read_page
 from sabench.images.levels import GreyValues
 from sabench.images.peaks import find_above
 from sabench.images.preprocessing import MatchHistograms, Step, preprocess, step_faults
-from sabench.plotting.charts import Figure, Panel, Picture
+from sabench.plotting.drawing import Figure, Panel, Picture
 from sabench.utils.arrays import F64, U16, Bool
 from sabench.utils.errors import InputError
 

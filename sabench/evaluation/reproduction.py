@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 from sabench import plugins
-from sabench.plotting.charts import Figure
+from sabench.plotting.drawing import Figure
 from sabench.utils.errors import InputError
 
 _NAME = "sabench.plugins.reproduction"

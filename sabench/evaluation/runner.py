@@ -16,7 +16,6 @@ from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard import board
 from sabench.evaluation.leaderboard.board import stem_of
 from sabench.evaluation.record_schema import Record, score_faults
-from sabench.evaluation.recorded_cases import Judged, check_intact, judge
 from sabench.evaluation.records import (
     append,
     key_of,
@@ -27,7 +26,7 @@ from sabench.evaluation.records import (
     version_of,
     versions,
 )
-from sabench.evaluation.suite_loading import load_suite, read_secret
+from sabench.evaluation.suite_loading import Judged, check_intact, judge, load_suite, read_secret
 from sabench.evaluation.suites import WHOLE, Case, Only, RecordedCase, SceneCase, SolverEntry, Suite
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate

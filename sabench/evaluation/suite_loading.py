@@ -1,8 +1,8 @@
 """Suite files, read and checked before any work starts, and private test sets.
 
 A suite becomes a list of cases, one for each combination of its varied values and each seed, and
-one for each recording. The seeds of a private test set come from a file with a secret, which only
-the organiser has.
+one for each recording, which is scored without truth. The seeds of a private test set come from a
+file with a secret, which only the organiser has.
 """
 
 import copy
@@ -11,11 +11,12 @@ import hashlib
 import hmac
 import itertools
 import math
+import os
 import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -23,16 +24,121 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sabench import plugins
 from sabench.api.solvers import TaskName
-from sabench.evaluation.recorded_cases import open_recording, recording_name
-from sabench.evaluation.suites import Case, CaseSpec, RecordingSpec, SceneCase, SolverEntry, Suite
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result
+from sabench.dataset.schema import MANIFEST
+from sabench.dataset.verification import verify
+from sabench.evaluation.suites import (
+    Case,
+    CaseSpec,
+    RecordedCase,
+    RecordingSpec,
+    SceneCase,
+    SolverEntry,
+    Suite,
+)
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
 from sabench.scenes.loading import read_scene
 from sabench.tasks.external_programs import find_program
-from sabench.tasks.solve_and_score import describe_solver
+from sabench.tasks.quality import FIGURES_OF, quality, residual_picture
+from sabench.tasks.solve_and_score import costs_of, describe_solver
 from sabench.utils.backend import choose_renderer
 from sabench.utils.errors import InputError
-from sabench.utils.files import digest, is_file
+from sabench.utils.files import digest, is_file, is_folder
+from sabench.utils.progress import console
 from sabench.utils.validation import printable, validate
+
+
+def recording_name(spec: RecordingSpec, suite: Path) -> str:
+    """Name the case of a recording: by default as its folder."""
+    return spec.name or _UNSAFE.sub("_", _place(spec, suite).name)
+
+
+def open_recording(spec: RecordingSpec, suite: Path) -> RecordedCase:
+    """Open the recorded data set of a suite.
+
+    Raises
+    ------
+    InputError
+        No folder, one that is no data set, or a data set that is not recorded.
+    """
+    data = _open(_place(spec, suite), f"{suite}: recordings: {spec.folder}")
+    name = recording_name(spec, suite)
+    return RecordedCase(name=name, base=name, data=data, quality=spec.quality, solvers=spec.solvers)
+
+
+def _place(spec: RecordingSpec, suite: Path) -> Path:
+    return Path(os.path.normpath(suite.parent.absolute() / Path(spec.folder).expanduser()))
+
+
+def _open(root: Path, source: str) -> Dataset:
+    if not is_file(root / MANIFEST):
+        got = f"found one without {MANIFEST}" if is_folder(root) else "found none"
+        raise InputError(
+            f"{source}: expected the folder of a recorded data set, {got}; `sabench import` makes "
+            "one of images and cameras"
+        )
+    data = open_dataset(root)
+    if data.has_truth:
+        raise InputError(
+            f"{source}: expected a recorded data set, got one with truth; name its scene in "
+            f"`scenes` and its seed, {data.manifest.seed}, in `seeds`"
+        )
+    if not data.recorded:
+        raise InputError(
+            f"{source}: expected a recorded data set, got the observation side of one alone"
+        )
+    return data
+
+
+def check_intact(case: RecordedCase) -> Dataset:
+    """Return the data set of a recorded case, with the bytes that its case is about.
+
+    Raises
+    ------
+    InputError
+        Files are missing or damaged, or the data set has changed since the suite was read.
+    """
+    root = case.data.root
+    if faults := verify(root):
+        raise InputError(
+            f"recording {case.name}: expected the files that were imported, but {faults[0]}"
+        )
+    if open_dataset(root).content_hash != case.data_hash:
+        raise InputError(f"{root}: expected no change of the recording during the run")
+    return case.data
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Scores of a result, or its figures without truth.
+
+    Attributes
+    ----------
+    scores : scores as in its record.
+    residuals : a PNG of the residuals of recorded images; None for other results.
+    """
+
+    scores: dict[str, Any]
+    residuals: bytes | None = None
+
+
+def judge(case: RecordedCase, out: Path) -> Judged:
+    """Score a result of a recorded case by its images; its costs come with it.
+
+    Results of tasks that have no figures without truth have their costs alone.
+    """
+    result = open_result(out, case.data)
+    scores = {"task": result.task, "quality": None, **costs_of(result)}
+    if result.task not in FIGURES_OF:
+        return Judged(scores)
+    options = case.quality
+    judged = quality(case.data, out, frames=options.frames, solve_again=options.again)
+    for note in judged.notes:
+        console.print(f"note: {note}", markup=False, highlight=False)
+    scores["quality"] = {**options.model_dump(), "figures": judged.figures}
+    left = judged.left
+    return Judged(scores, None if left is None else residual_picture(case.data, left))
 
 
 class Secret(BaseModel):

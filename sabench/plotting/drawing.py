@@ -1,14 +1,151 @@
-"""Drawing of charts by Matplotlib, as PNG images."""
+"""Charts as values, and their drawing by Matplotlib as PNG images."""
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sabench.plotting import charts
-from sabench.plotting.charts import Figure, Panel
+_PANEL_INCH = (4.2, 3.2)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Values (n,) over others, with half widths of their spread where given."""
+
+    label: str
+    x: Sequence[float]
+    y: Sequence[float]
+    spread: Sequence[float] | None = None
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """Distribution of values."""
+
+    label: str
+    values: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points (n,) without lines."""
+
+    label: str
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Slice:
+    """Values (rows, columns) on a lattice in colours; alone in its panel.
+
+    y points downwards, as in images.
+
+    Attributes
+    ----------
+    x, y : coordinates of the columns and of the rows.
+    signed : whether zero is the middle of the colours.
+    arrows : (rows, columns, 2) vectors over them, if there are any; NaN for none.
+    """
+
+    label: str
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
+    values: npt.NDArray[np.float64]
+    signed: bool = False
+    arrows: npt.NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Discs:
+    """Circles (n,) coloured by their radii; alone in their panel.
+
+    Radii are in the unit of the axes; y points downwards.
+    """
+
+    label: str
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
+    radius: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Circles:
+    """Circles (n,) of one colour; several kinds may share a panel.
+
+    Radii are in the unit of the axes; y points downwards.
+    """
+
+    label: str
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
+    radius: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Grey image (rows, columns), from its least to its largest value.
+
+    It comes first in its panel, under clouds and curves; y points downwards.
+
+    Attributes
+    ----------
+    low, high : coordinates (x, y) of the centres of its first and last pixel.
+    rings : (n, 3) circles over it: centres and radii, in the unit of the axes.
+    """
+
+    values: npt.NDArray[np.float64]
+    low: tuple[float, float]
+    high: tuple[float, float]
+    rings: npt.NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Space:
+    """Balls (n,) in space as discs coloured by their size; alone in its panel.
+
+    y points downwards.
+    """
+
+    label: str
+    center: npt.NDArray[np.float64]
+    radius: npt.NDArray[np.float64]
+
+
+Content = Curve | Histogram | Cloud | Slice | Discs | Circles | Picture | Space
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Pair of axes; `log` names the logarithmic ones: "", "x", "y" or "xy"."""
+
+    title: str
+    x: str
+    y: str
+    content: tuple[Content, ...]
+    log: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Figure of several panels.
+
+    Attributes
+    ----------
+    name : name of the file.
+    across : panels in a row.
+    inch : width and height of a panel.
+    """
+
+    name: str
+    title: str
+    panels: tuple[Panel, ...]
+    across: int | None = None
+    inch: tuple[float, float] = _PANEL_INCH
+
 
 _DPI = 110
 _BINS = 40
@@ -34,7 +171,7 @@ def draw(figure: Figure) -> bytes:
     sheet.suptitle(figure.title, fontsize=11)
     places = []
     for number, panel in enumerate(figure.panels, 1):
-        solid = isinstance(panel.content[0], charts.Space)
+        solid = isinstance(panel.content[0], Space)
         places.append(sheet.add_subplot(down, across, number, projection="3d" if solid else None))
         _fill(places[-1], panel)
     _add_legends(sheet, places, figure.panels)
@@ -49,24 +186,24 @@ def _fill(axes: Any, panel: Panel) -> None:
     axes.set_ylabel(panel.y, fontsize=8)
     axes.tick_params(which="both", labelsize=7)
     axes.grid(alpha=0.3)
-    edges = _edges([item.values for item in panel.content if isinstance(item, charts.Histogram)])
+    edges = _edges([item.values for item in panel.content if isinstance(item, Histogram)])
     for number, item in enumerate(panel.content):
         colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
-        if isinstance(item, charts.Histogram):
+        if isinstance(item, Histogram):
             style = {"histtype": "step", "linewidth": 1.5, "color": colour, "label": item.label}
             axes.hist(item.values, bins=edges, density=True, **style)
-        elif isinstance(item, charts.Cloud):
+        elif isinstance(item, Cloud):
             style = {"linestyle": "", "marker": ".", "markersize": 2, "rasterized": True}
             axes.plot(item.x, item.y, color=colour, label=item.label, **style)
-        elif isinstance(item, charts.Slice):
+        elif isinstance(item, Slice):
             _slice(axes, item)
-        elif isinstance(item, charts.Discs):
+        elif isinstance(item, Discs):
             _discs(axes, item)
-        elif isinstance(item, charts.Circles):
+        elif isinstance(item, Circles):
             _circles(axes, item, colour)
-        elif isinstance(item, charts.Picture):
+        elif isinstance(item, Picture):
             _picture(axes, item)
-        elif isinstance(item, charts.Space):
+        elif isinstance(item, Space):
             _space(axes, item)
         else:
             style = {"color": colour, "marker": marker, "markersize": 4, "linewidth": 1}
@@ -104,7 +241,7 @@ def _add_ellipses(
     return shown
 
 
-def _slice(axes: Any, cut: charts.Slice) -> None:
+def _slice(axes: Any, cut: Slice) -> None:
     top = float(np.nanmax(np.abs(cut.values))) or 1.0
     colours, low = ("RdBu_r", -top) if cut.signed else ("viridis", float(np.nanmin(cut.values)))
     scale = {"cmap": colours, "vmin": low, "vmax": top if cut.signed else None}
@@ -125,7 +262,7 @@ def _slice(axes: Any, cut: charts.Slice) -> None:
     axes.grid(visible=False)
 
 
-def _discs(axes: Any, discs: charts.Discs) -> None:
+def _discs(axes: Any, discs: Discs) -> None:
     order = np.argsort(-discs.radius)  # small ones on top
     widths, centers = 2.0 * discs.radius[order], np.column_stack([discs.x, discs.y])[order]
     style = {"cmap": "viridis", "edgecolors": "#00000066", "linewidths": 0.3}
@@ -139,7 +276,7 @@ def _discs(axes: Any, discs: charts.Discs) -> None:
     axes.grid(visible=False)
 
 
-def _circles(axes: Any, circles: charts.Circles, colour: str) -> None:
+def _circles(axes: Any, circles: Circles, colour: str) -> None:
     widths, positions = 2.0 * circles.radius, np.column_stack([circles.x, circles.y])
     style = {"facecolors": f"{colour}55", "edgecolors": colour, "linewidths": 0.8}
     _add_ellipses(axes, positions, widths, **style)
@@ -154,7 +291,7 @@ def _circles(axes: Any, circles: charts.Circles, colour: str) -> None:
     axes.yaxis.set_inverted(True)
 
 
-def _picture(axes: Any, picture: charts.Picture) -> None:
+def _picture(axes: Any, picture: Picture) -> None:
     rows, columns = picture.values.shape
     (left, top), (right, bottom) = picture.low, picture.high
     half_x, half_y = (
@@ -172,7 +309,7 @@ def _picture(axes: Any, picture: charts.Picture) -> None:
     axes.grid(visible=False)
 
 
-def _space(axes: Any, space: charts.Space) -> None:
+def _space(axes: Any, space: Space) -> None:
     """Draw balls as discs, with areas in points squared.
 
     The longest edge of the box is about half as long as the panel is high.

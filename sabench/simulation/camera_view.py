@@ -8,8 +8,8 @@ from sabench.api.truth import NOTHING, Bubbles, Sight
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes import Scene
+from sabench.scenes.build import build_wall
 from sabench.scenes.illumination import Background
-from sabench.scenes.tank import build_wall
 from sabench.simulation.frames import FrameContent, Tracers, find_hidden
 from sabench.simulation.rendering import (
     bubbles_traced,

@@ -22,7 +22,7 @@ from sabench.metrics.bubble_detection import AnyBubbles, detection_scores, match
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
-from sabench.plotting.charts import Circles, Discs, Figure, Panel
+from sabench.plotting.drawing import Circles, Discs, Figure, Panel
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (

@@ -28,8 +28,7 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.geometry.grid import Grid, gradient, vorticity
 from sabench.metrics import velocity_error
 from sabench.metrics.averages import finite_or_none
-from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Slice
-from sabench.plotting.drawing import draw
+from sabench.plotting.drawing import Cloud, Curve, Figure, Panel, Slice, draw
 from sabench.simulation.rendering.lamps import enter_fluid
 from sabench.tasks import reconstruction
 from sabench.tasks.solver_call import SolverClock, call_solver

@@ -19,8 +19,7 @@ from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import Pose, rotation_matrices
 from sabench.scenes import Scene
-from sabench.scenes.build import domain_of
-from sabench.scenes.tank import build_wall, check_one_plane
+from sabench.scenes.build import build_wall, check_one_plane, domain_of
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.worlds.library.overlaps import overlapping, touching

@@ -44,7 +44,7 @@ from sabench import plugins
 from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suite_loading import override
 from sabench.evaluation.suites import SceneCase
-from sabench.plotting.charts import Figure
+from sabench.plotting.drawing import Figure
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.in_memory import make_particles
 from sabench.utils.errors import InputError

@@ -20,8 +20,8 @@ from sabench.dataset.cameras import read_calibrated
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.images.image_reading import read_photographs
+from sabench.scenes.build import build_walls, wall_towards
 from sabench.scenes.cameras import DistortionSpec
-from sabench.scenes.tank import build_walls, wall_towards
 from sabench.scenes.wall import CylinderSpec, WallTable, wall_tables
 from sabench.utils.arrays import F64, I64, triple
 from sabench.utils.errors import InputError

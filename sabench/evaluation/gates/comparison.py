@@ -38,10 +38,9 @@ from sabench.evaluation.gates.baseline import (
 )
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.findings import Finding, compare, scale_times
-from sabench.evaluation.recorded_cases import judge
 from sabench.evaluation.records import machine, versions
 from sabench.evaluation.runner import dataset_of, discard
-from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suite_loading import judge, load_suite
 from sabench.evaluation.suites import Case, RecordedCase, SolverEntry
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.scenes import find

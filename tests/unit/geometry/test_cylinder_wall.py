@@ -19,7 +19,7 @@ from sabench.geometry.refraction import (
     trace_to_points,
     transmittance,
 )
-from sabench.scenes.tank import build_wall
+from sabench.scenes.build import build_wall
 from sabench.scenes.wall import CylinderSpec, LayerSpec
 from sabench.utils.arrays import F64, triple
 from tests.helpers.cameras import make_camera

@@ -12,8 +12,7 @@ from sabench.api import Velocity
 from sabench.api.make import generator_of
 from sabench.metrics.velocity_error import response
 from sabench.metrics.vortex_rings import circulation, core, half_plane, interpolate_field, spin_of
-from sabench.plotting.charts import Figure, Panel, Picture, Slice
-from sabench.plotting.drawing import draw
+from sabench.plotting.drawing import Figure, Panel, Picture, Slice, draw
 from sabench.utils.arrays import F64, triple
 
 

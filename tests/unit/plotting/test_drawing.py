@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sabench.plotting.charts import Curve, Figure, Histogram, Panel
-from sabench.plotting.drawing import draw
+from sabench.plotting.drawing import Curve, Figure, Histogram, Panel, draw
 
 _BLUE, _ORANGE = (0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)  # as OpenCV orders them
 
