@@ -218,7 +218,7 @@ def list_files(root: Path, measured: Mapping[str, FileEntry] | None = None) -> d
 
 
 def write_manifest(root: Path, files: Mapping[str, FileEntry], **keys: Any) -> None:
-    """Write the manifest of a data set; `keys` come before those that follow from its files."""
+    """Write the manifest of a data set; `keys` come before those of its files."""
     head = {
         "format": FORMAT,
         "version": VERSION,

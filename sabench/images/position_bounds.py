@@ -80,7 +80,7 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
 
 
 def _covariances(information: F64) -> F64:
-    """Invert information (k, 4, 4) to covariances (k, 3, 3) of positions; NaN where singular."""
+    """Invert information (k, 4, 4) to covariances (k, 3, 3); NaN where singular."""
     with np.errstate(invalid="ignore"):
         scale = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
     regular = scale.min(axis=1) > 0.0

@@ -147,7 +147,7 @@ def worker_pool(
 
 @contextlib.contextmanager
 def locked(root: Path, target: Path) -> Iterator[None]:
-    """Lock the folder in which a data set is made, or say that another process makes it."""
+    """Lock the folder of a data set, or say that another process makes it."""
     try:
         with FileLock(root / "lock", timeout=0):
             yield

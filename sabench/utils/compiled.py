@@ -48,7 +48,7 @@ event.register("numba:compiler_lock", _CLOCK)
 
 
 def inner(**options: Any) -> Any:
-    """Decorate a kernel that kernels alone call: it compiles without an entrance from Python.
+    """Decorate a kernel that kernels alone call, not Python.
 
     That saves a seventh of the time of the particle search's kernels.
     """

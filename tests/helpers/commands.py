@@ -14,13 +14,14 @@ def succeed(done: subprocess.CompletedProcess[str]) -> subprocess.CompletedProce
     return done
 
 
-def refuse(done: subprocess.CompletedProcess[str], *keys: str) -> None:
+def refuse(done: subprocess.CompletedProcess[str], *keys: str) -> subprocess.CompletedProcess[str]:
     """Check the exit code 2 and one complaint, of every key, that is that of the snapshot."""
     assert done.returncode == 2, (done.stdout, done.stderr)
     assert "Traceback" not in done.stderr
     lines = done.stderr.splitlines()
     (first,) = (number for number, line in enumerate(lines) if line.startswith("sabench: "))
     check_sentence(" ".join(" ".join(lines[first:]).split()), *keys)
+    return done
 
 
 def local_records(folder: Path) -> list[dict[str, Any]]:
