@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.architecture.plan import FLOORS, ROOT, arrows, circles, rooms
+from tests.architecture.plan import FLOORS, ROOT, arrows, circles, rooms, syntax
 
 
 def test_every_room_has_a_floor() -> None:
@@ -47,7 +47,7 @@ PLUG_INS = [file for kind in ALLOWED for file in sorted((ROOT / kind).glob("[a-z
 
 def imported(file: Path) -> set[str]:
     found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in ast.walk(syntax(file)):
         if isinstance(node, ast.ImportFrom) and not node.level:
             found.add(str(node.module))
         elif isinstance(node, ast.Import):

@@ -14,10 +14,10 @@ from tests.docs.pages import PAGES, ROOT, blocks, prose, read
 from tests.docs.runner import Page
 
 _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(page))]
-_START = ("start/experimenter", "start/tutorial", "tasks/calibration", "tasks/particles")
-_FORMATS = ("formats/dataset", "formats/samples", "formats/foreign", "developing/participate")
+_TASKS = ("tasks/calibration", "tasks/particles", "tasks/reconstruction", "start/tutorial")
+_FORMATS = ("formats/dataset", "formats/samples", "formats/foreign", "formats/result")
 _USING = ("calibrating", "challenges", "detection", "export", "own-recordings", "planning")
-_SLOW = {f"docs/{name}.md" for name in (*_START, *_FORMATS)}
+_SLOW = {f"docs/{name}.md" for name in (*_TASKS, *_FORMATS, "developing/participate")}
 _SLOW |= {f"docs/using/{name}.md" for name in (*_USING, "streaming", "viewing")}
 _SLOW |= {"README.md", "CONTRIBUTING.md"}
 

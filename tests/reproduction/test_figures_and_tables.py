@@ -284,6 +284,7 @@ def test_alignment_undoes_a_motion_and_leaves_a_skew(given: Board) -> None:
         assert np.abs(after).max() == pytest.approx(rest, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_refit_to_the_same_points_gives_the_same_cameras(given: Board) -> None:
     same = traversed(given, given.points_mm)
     refit = _refit({"test 1": same, "test 2": same}, "test 2")

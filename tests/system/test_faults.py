@@ -540,6 +540,7 @@ def child_works(pid: int) -> bool:
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("works", "words"),
     [

@@ -148,6 +148,7 @@ def test_motion_tracking_removes_ghosts(exposures: int, shots: list[Shot]) -> No
         assert (other["peak_ghost_percent"] or 0.0) < 0.6 * (own["peak_ghost_percent"] or 0.0)
 
 
+@pytest.mark.slow
 def test_without_repeats_it_is_block_mart(shots: list[Shot]) -> None:
     frames = [shot.observation for shot in shots[:2]]
     alone: Any = make_algorithm("block_mart", {})

@@ -62,7 +62,7 @@ def test_the_missing_modules_are_those_of_the_extra() -> None:
     assert project["optional-dependencies"]["score"] == []
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [None, "ray_triangulation"])
 def test_scores_are_those_with_all_packages(
     solver: str | None, quick: Dataset, quick_result: Path, tmp_path: Path

@@ -102,6 +102,7 @@ def test_noise_is_no_light(
     assert [len(one.position_mm) for one in solve(frames, solver)] == [0] * FRAMES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_and_two_particles_are_found(count: int) -> None:
     case = make_small(1, 1e-5).observation
@@ -122,7 +123,7 @@ def test_saturated_particles_are_found() -> None:
     assert min(counts.recall, counts.precision) > 0.95
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [3.0, 1000.0])
 def test_a_camera_that_is_off_is_named_and_left_out(columns: float) -> None:
     shot = make_small(1)

@@ -179,7 +179,7 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
         patch.setattr(pipeline, "record_task", interrupted)
         with pytest.raises(KeyboardInterrupt):
             made(scene, tmp_path / "set")
-    monkeypatch.setattr(recorders, "render", counted)
+    monkeypatch.setattr(recorders, "render_camera_view", counted)
     again = made(scene, tmp_path / "set")
     assert [frame for frame, _ in shots] == [2] * 4
     assert again == made(scene, tmp_path / "anew")

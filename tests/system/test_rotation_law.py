@@ -204,7 +204,7 @@ def test_velocities_follow_the_rig(name: str, rotation: F64) -> None:
     np.testing.assert_allclose(turned, rotate_field(field, rotation) @ rotation.T, atol=2e-2)
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("rotation", ROTATIONS)
 def test_a_light_sheet_follows_the_rig(rotation: F64) -> None:
     camera, grid = tank_camera(), replace(GRID, shape=(3, 64, 80), low_mm=(-7.9, -6.3, 131.3))

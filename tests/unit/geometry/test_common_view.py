@@ -86,6 +86,7 @@ def paths_of(camera: Camera, scene: str) -> F64:
     return light_paths(camera, border_pixels(camera), *build_rig(load_scene(scene)).grid.box_mm)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["quick", "cylinder-tank", "two-faces", "particle-tracking-air"])
 def test_ends_of_paths_are_imaged_on_the_border(scene: str) -> None:
     for camera in build_rig(load_scene(scene)).cameras:

@@ -80,7 +80,7 @@ def distance_inside(polygon: F64, pixels: F64) -> F64:
     return np.asarray(np.min(np.sum((pixels[:, None] - polygon) * inward, axis=2), axis=1))
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
     plain = make_scene(**VARIANTS[variant])

@@ -38,7 +38,7 @@ def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
     assert np.percentile(np.abs(apart), 95) < 2.0 * NOISE
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixel: float) -> None:
     shown = image(per_pixel, 2, spread=0.6)[None]

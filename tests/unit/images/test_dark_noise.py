@@ -99,6 +99,7 @@ def test_a_background_is_not_taken_for_dense_particles(name: str) -> None:
     assert (image > measure_dark_noise(image[None]).threshold()).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_what_is_not_known_tells_nothing_of_dense_particles() -> None:
     light = 100.0 * particles(40_000)[1]
     image = grey(normal(np.random.default_rng(15), 64.0, 2.0) + light)

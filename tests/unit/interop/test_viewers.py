@@ -86,6 +86,7 @@ def test_images_show_what_the_camera_recorded(data: Dataset, coco: Path) -> None
     assert np.corrcoef(image.ravel(), raw.ravel())[0, 1] > 0.999
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of pycocotools with numpy 2
 def test_pycocotools_reads_it(data: Dataset, coco: Path) -> None:
     tools = pytest.importorskip("pycocotools.coco", reason="pycocotools is not installed")

@@ -46,7 +46,7 @@ def open_sensors(cameras: int) -> Bool:
     return np.zeros((cameras, ROWS, COLUMNS), dtype=np.bool_)
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize(("cameras", "count"), [(3, 1), (4, 30)])
 def test_all_particles_are_found_where_they_are(maps: Maps, cameras: int, count: int) -> None:
     points = unit_points(count)
@@ -196,6 +196,7 @@ def noisy(case: Observation, black: float = 0.0) -> Observation:
     return replace(case, images=images, black_dn=black, white_dn=255.0)
 
 
+@pytest.mark.slow
 def test_a_long_budget_changes_nothing() -> None:
     case = make_small(3).observation
     found, limited = solve(case), solve(case, budget_s=1e6)

@@ -77,6 +77,7 @@ def crossing(maps: Maps, ghost: F64) -> F64:
     return np.array(out)
 
 
+@pytest.mark.slow
 def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(maps: Maps) -> None:
     ghost = np.array([0.05, -0.1, 0.1])
     true = crossing(maps, ghost)
@@ -288,6 +289,7 @@ def test_a_pair_stands_out_where_the_model_errs_more_than_the_noise(maps: Maps) 
     assert gains[20] > 5.0 + gains[:20].max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
 def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[float]) -> None:
     size = pixel_mm(maps) / maps.half_mm

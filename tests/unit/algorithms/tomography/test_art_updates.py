@@ -112,6 +112,7 @@ def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
     assert np.ptp(state.values) > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
     state = make_state()

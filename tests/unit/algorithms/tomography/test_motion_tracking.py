@@ -38,7 +38,7 @@ def points(count: int, seed: int) -> F64:
     return np.random.default_rng(seed).uniform([5, 5, 5], [42, 34, 18], (count, 3))
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.0, -1.0])
 def test_a_deformed_volume_is_the_spline_read_away_from_its_voxels(share: float) -> None:
     volume, shift = blobs(points(40, 0)), np.zeros((2, 2, 2, 3)) + np.array([1.3, -0.6, 0.4])

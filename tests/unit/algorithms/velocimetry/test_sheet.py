@@ -58,6 +58,7 @@ def rms(errors: F64) -> float:
     return float(np.sqrt((errors**2).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("normal", NORMALS)
 def test_uniform_flow_is_recovered_in_any_plane(camera: Camera, normal: F64) -> None:
     move = np.array([0.147, -0.109, 0.0]) @ frame_of_normal(normal)  # 2.3 and -1.7 pixels
