@@ -34,7 +34,6 @@ Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]
 LIMIT_S = 2.0  # CPU time of a test that is not marked `slow`, on a machine as fast as below
 _REFERENCE_S = 0.015  # of the reference kernel on that machine
-_MARGIN = 3.0  # provisional: times were taken next to other work; tighten on a quiet machine
 _seconds = pytest.StashKey[float]()
 
 
@@ -49,7 +48,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Fail a test that takes over `_MARGIN` times `LIMIT_S` and is not marked `slow`.
+    """Fail a test that takes over `LIMIT_S` and is not marked `slow`.
 
     CPU time of the test and its children counts: neighbours do not change it. It is a multiple of
     the reference kernel's time, so that a slow machine has as much of it. Fixtures do not count.
@@ -65,7 +64,7 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         again = runtestprotocol(item, nextitem=nextitem, log=False)
         seconds = min(first, item.stash[_seconds])
         slower = max(1.0, reference_s(time.process_time) / _REFERENCE_S)
-        limit = _MARGIN * LIMIT_S * slower
+        limit = LIMIT_S * slower
         if not all(report.passed for report in again):
             reports = again
         elif seconds > limit:

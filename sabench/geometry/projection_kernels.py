@@ -129,7 +129,7 @@ def project(
     center : the pinhole, as three numbers; it must be in front of the wall.
     frame : nine numbers: two unit vectors along the wall and its normal, world frame.
     media : as `media_of` gives them.
-    lens : nine numbers, the camera's rotation from that frame with its first two rows times the
+    lens : eleven numbers: the camera's rotation from that frame with its first two rows times the
         focal length, and the principal point.
     column, row : (n,) the result.
     """

@@ -292,6 +292,7 @@ def test_a_refit_to_the_same_points_gives_the_same_cameras(given: Board) -> None
     assert refit.measured == pytest.approx(refit.original, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_refit_to_squeezed_points_fails_in_all_but_the_central_camera(given: Board) -> None:
     squeezed = given.points_mm * np.array([1.0, 1.0, 0.9])
     tests = {"test 1": traversed(given, given.points_mm), "test 2": traversed(given, squeezed)}

@@ -214,7 +214,7 @@ def test_particles_outside_the_grid_are_reported() -> None:
     check_sentence(str(caught[0].message), "grid")
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "layout"), [(2, (3, 1)), (3, (3, 3))])
 def test_right_cameras_are_not_reported(seed: int, layout: tuple[int, int]) -> None:
     shot = make_small(seed, layout=layout)

@@ -1,7 +1,10 @@
 """Synthetic aperture refocusing: views of all cameras, added or multiplied.
 
-Kernels on the CPU read along rows; on a GPU each sample is a gather by Dr.Jit, from the same slabs
-and rectified images, so that the volumes are the same.
+A voxel x becomes the product over the cameras i of max(floor, I_i(project_i(x))) to the power n, or
+their mean. All else makes this fast, to 0.01 px: `slabs` fits the projection of some planes by
+polynomials, `rectification` warps each image once so that a plane is a constant shift, and
+`cpu_kernels` add or multiply shifted rows. On a GPU each sample is a gather by Dr.Jit, from the
+same slabs and rectified images, so that the volumes are the same.
 """
 
 import functools

@@ -131,7 +131,6 @@ class Lamps:
 
     `positions` (n, 3); `powers` (n,), where 1 gives a white surface that faces the lamp at 1 mm a
     radiance of 1; `ambient` is uniform light from all directions.
-    comes evenly from everywhere.
     """
 
     positions: F64

@@ -130,6 +130,7 @@ def shot_of(*discs: dict[str, Any]) -> Shot:
     return simulate(with_discs(scene, *discs) if discs else scene, seed=4)
 
 
+@pytest.mark.slow
 def test_a_covered_camera_is_black_and_the_others_see_what_they_saw() -> None:
     free, covered = shot_of(), shot_of(before_camera(QUICK, 0.5, 30.0))
     assert not covered.views[0].photons.any()

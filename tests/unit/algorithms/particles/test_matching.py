@@ -157,6 +157,7 @@ def straight_and_oblique(*tilts: float) -> VolumePolynomials:
     return VolumePolynomials(np.array(axes), powers, np.zeros(3), np.ones(3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilts", [(25.0, 0.0), (0.0, 25.0), (25.0, -25.0)])
 def test_lines_of_sight_are_followed_closely(tilts: tuple[float, float]) -> None:
     maps = straight_and_oblique(*tilts)
@@ -204,6 +205,7 @@ def test_a_long_budget_changes_nothing() -> None:
     assert np.array_equal(found.position_mm, limited.position_mm)
 
 
+@pytest.mark.slow
 def test_a_spent_budget_is_said_and_gives_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     shot = make_small(3)
     counts = []

@@ -102,6 +102,7 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(maps
     assert np.abs(kept.light / light - 1.0).max() < 0.1
 
 
+@pytest.mark.slow
 def test_light_in_one_camera_alone_is_no_particle(maps: Maps) -> None:
     point = np.zeros((1, 3))
     light = np.array([[1e-3, 3.0 * TYPICAL, 1e-3, 1e-3]])
@@ -196,6 +197,7 @@ def test_shapes_that_change_over_the_box_are_learned(maps: Maps, shaped: bool) -
     assert_allclose(model.shapes, expected, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_far_tail_alone_says_nothing_of_widths(maps: Maps) -> None:
     """Its squared image there is less than the least number: quotients by it have no bound."""
     images = paint(maps, np.zeros((1, 3)), even_light(1), ROWS, COLUMNS)
@@ -309,6 +311,7 @@ def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[
     assert two.max() < 4.0
 
 
+@pytest.mark.slow
 def test_a_single_particle_is_not_split(maps: Maps) -> None:
     images = noisy(maps, np.zeros((1, 3)), even_light(1))
     model, room, particles, _ = one_of_two(maps, images, 1.0)
