@@ -376,8 +376,8 @@ def image_particles(
     By default the route is the direct one. On a route with reflections, all is that of the unfolded
     particle, given by `Route.place` and `Route.behind`; the light is that of the particle.
 
-    Photons = fluence (`lamps.fluence`) x scattered share per solid angle (`particle_light.intensity`)
-    x solid angle of the lens x Fresnel transmission of the wall (both from `find_paths`). The image is
+    Photons = fluence (`lamps.fluence`) x scattered share per solid angle (`intensity`) x solid
+    angle of the lens x Fresnel transmission of the wall (`find_paths` has both). The image is
     Gaussian with the summed variances of the particle's disc (M d / 4), of diffraction (Airy,
     `_AIRY`) and of defocus (an ellipse, axes / 4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
