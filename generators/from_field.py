@@ -11,7 +11,13 @@ from pydantic import Field, model_validator
 from scipy.interpolate import NdBSpline, make_interp_spline
 
 from sabench.api import F64, Domain, FileParameters, Flow, InputError
-from sabench.worlds.library.array_files import Array, length_mm, read_arrays, speed_mm_s, time_s
+from sabench.worlds.library.array_files import (
+    UnitArray,
+    length_mm,
+    read_arrays,
+    speed_mm_s,
+    time_s,
+)
 
 _DEGREE = 3
 _FEWEST = _DEGREE + 1  # points along an axis
@@ -210,7 +216,7 @@ def _read(text: str) -> _Spline:
     )
 
 
-def _line(path: Path, name: str, array: Array) -> F64:
+def _line(path: Path, name: str, array: UnitArray) -> F64:
     """Read the coordinates of one axis."""
     values = array.values
     if values.ndim != 1 or len(values) < _FEWEST:
@@ -229,7 +235,7 @@ def _line(path: Path, name: str, array: Array) -> F64:
 def _velocities(
     path: Path,
     chosen: FromFieldParameters,
-    arrays: dict[str, Array],
+    arrays: dict[str, UnitArray],
     counts: list[int],
     speed: list[float],
 ) -> F64:

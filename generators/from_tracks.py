@@ -20,7 +20,13 @@ from sabench.api import (
     Particles,
     stream,
 )
-from sabench.worlds.library.array_files import Array, length_mm, read_arrays, speed_mm_s, time_s
+from sabench.worlds.library.array_files import (
+    UnitArray,
+    length_mm,
+    read_arrays,
+    speed_mm_s,
+    time_s,
+)
 
 
 class FromTracksParameters(FileParameters):
@@ -206,7 +212,7 @@ def _where(chosen: FromTracksParameters, name: str) -> str:
     return f"{Path(chosen.file)}: {name}"
 
 
-def _read_columns(chosen: FromTracksParameters) -> dict[str, Array]:
+def _read_columns(chosen: FromTracksParameters) -> dict[str, UnitArray]:
     """Read the named arrays, and check that each has one value for each point."""
     names = [chosen.id, chosen.time, *chosen.axes, *(chosen.velocity or ())]
     names += [chosen.diameter] if chosen.diameter else []
@@ -221,7 +227,7 @@ def _read_columns(chosen: FromTracksParameters) -> dict[str, Array]:
     return arrays
 
 
-def _whole_numbers(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
+def _whole_numbers(chosen: FromTracksParameters, arrays: dict[str, UnitArray]) -> F64:
     """Return each point's trajectory, and check that it is a whole number."""
     identity = arrays[chosen.id].values
     broken = identity != np.rint(identity)
@@ -232,13 +238,13 @@ def _whole_numbers(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F6
     return identity
 
 
-def _lengths(chosen: FromTracksParameters, arrays: dict[str, Array], name: str) -> F64:
+def _lengths(chosen: FromTracksParameters, arrays: dict[str, UnitArray], name: str) -> F64:
     """Convert an array to mm."""
     where = _where(chosen, name)
     return arrays[name].values * length_mm(chosen.length, arrays[name], where, "particles.length")
 
 
-def _positions(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
+def _positions(chosen: FromTracksParameters, arrays: dict[str, UnitArray]) -> F64:
     """Return positions (n, 3), moved to where the file's middle is to be."""
     lengths = [_lengths(chosen, arrays, name) for name in chosen.axes]
     position = chosen.scale * np.stack(lengths, axis=1)
@@ -248,7 +254,7 @@ def _positions(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
     return position
 
 
-def _diameters(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
+def _diameters(chosen: FromTracksParameters, arrays: dict[str, UnitArray]) -> F64:
     """Return diameters (n,), by default the same for all."""
     if not chosen.diameter:
         return np.full(len(arrays[chosen.id].values), chosen.diameter_mm)
@@ -262,7 +268,7 @@ def _diameters(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
 
 
 def _velocities(
-    chosen: FromTracksParameters, names: tuple[str, str, str], arrays: dict[str, Array]
+    chosen: FromTracksParameters, names: tuple[str, str, str], arrays: dict[str, UnitArray]
 ) -> F64:
     """Convert the file's velocities (n, 3) to mm/s."""
     speeds = [

@@ -1,4 +1,4 @@
-"""Commands of suites, records and the thesis: run, check, submit, board, reproduce."""
+"""Commands of suites, records and the thesis."""
 
 from __future__ import annotations
 

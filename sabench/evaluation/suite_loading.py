@@ -187,7 +187,7 @@ _MOST_CASES = 1000
 _LONGEST_CASE = 200  # characters of a name
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 Load = Callable[[str | Path], Scene]
-_Table = TypeVar("Table", Suite, CaseSpec, RecordingSpec)
+_Table = TypeVar("_Table", Suite, CaseSpec, RecordingSpec)
 
 
 def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, list[Case]]:

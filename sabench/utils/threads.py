@@ -11,7 +11,7 @@ import numpy as np
 
 from sabench.utils.compiled import numba
 
-_Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 
 def for_each(work: Callable[[int], _Result], count: int) -> list[_Result]:

@@ -17,9 +17,9 @@ _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(p
 _TASKS = ("tasks/calibration", "tasks/particles", "tasks/reconstruction", "start/tutorial")
 _FORMATS = ("formats/dataset", "formats/samples", "formats/foreign", "formats/result")
 _USING = ("calibrating", "challenges", "detection", "export", "own-recordings", "planning")
-_SLOW = {f"docs/{name}.md" for name in (*_TASKS, *_FORMATS, "developing/participate")}
+_SLOW = {f"docs/{name}.md" for name in (*_TASKS, *_FORMATS, "start/experimenter")}
 _SLOW |= {f"docs/using/{name}.md" for name in (*_USING, "streaming", "viewing")}
-_SLOW |= {"README.md", "CONTRIBUTING.md"}
+_SLOW |= {"README.md", "CONTRIBUTING.md", "docs/developing/participate.md"}
 
 
 @pytest.fixture(scope="module")

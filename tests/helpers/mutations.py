@@ -92,7 +92,7 @@ def odd(rng: random.Random) -> Any:
     deep: Any = 1
     for _ in range(rng.choice((3, 3, 200))):
         deep = [deep]
-    others = (None, [], {}, deep, {"a": {"b": 1}}, [1, "x", None], list(range(1000)))
+    others: Any = (None, [], {}, deep, {"a": {"b": 1}}, [1, "x", None], list(range(1000)))
     return rng.choice((*NUMBERS, *TEXTS, *others))
 
 

@@ -306,7 +306,9 @@ def test_tracks_of_other_programs_count(moving: Dataset, tmp_path: Path) -> None
 
 def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
     found = perturbed(moving)
-    good = {f"f{frame:04d}": np.arange(len(one.center_mm)) for frame, one in enumerate(found)}
+    good: dict[str, Any] = {
+        f"f{frame:04d}": np.arange(len(one.center_mm)) for frame, one in enumerate(found)
+    }
     count = len(found[1].center_mm)
     twice = np.where(np.arange(count) == 3, 7, np.arange(count))
     changes = [{"f0001": one} for one in (twice, np.arange(count) * 1.0, np.arange(count - 1))]

@@ -56,6 +56,7 @@ def test_a_bundled_solver_obeys_the_laws(name: str, examples: Path) -> None:
     assert not broken, "\n".join(f"{one.law}: {one.text}" for one in broken)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", SOLVERS)
 def test_every_bundled_solver_describes_itself(name: str, examples: Path) -> None:
     laws = (conformance.describe_itself,)

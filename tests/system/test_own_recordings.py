@@ -279,13 +279,14 @@ def test_references_are_checked(original: Dataset, pngs: Path, tmp_path: Path) -
     assert tank.references is not None
     first = tank.references
     shape = first.shapes["camera_00"]
-    for change in (
+    changes: tuple[dict[str, Any], ...] = (
         {"shapes": first.shapes | {"camera_00": (500, 500)}},
         {"images": {"camera_00": (("../secret.png", 0),)}},
         {"images": {}},
         {"images": {"camera_00": (("camera_00/img_0.png", 7),)}},
         {"folder": str(tmp_path / "moved")},
-    ):
+    )
+    for change in changes:
         with refused():
             first.model_copy(update=change).read("camera_00", 0, shape)
 

@@ -174,7 +174,7 @@ def test_both_examples_score_as_the_bundled_solver_does(
     ]
     values["volume"]["size_mm"], values["particles"]["count"] = [9.0, 7.0, 2.0], 150
     data = sabench.generate(parse_scene(values, "tilted"), tmp_path / "data", backend="splat")
-    make = ["make", "-s", "-C", EXAMPLES / "cpp", f"BUILD={tmp_path}"]
+    make = ["make", "-s", "-C", str(EXAMPLES / "cpp"), f"BUILD={tmp_path}"]
     done = subprocess.run(make, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")  # it compiles without warnings
     python, script = tmp_path / "run", EXAMPLES / "python" / "synthetic_aperture.py"
@@ -287,7 +287,7 @@ def test_a_private_data_set_is_not_disclosed(
     assert "quick" not in (board / "records" / "submitted.jsonl").read_text()
     named = {"case": f"private-{data.content_hash[:12]}", "split": "hidden", "seed": 0}
     assert standing.record.items() >= named.items()
-    assert named["case"] in " ".join(capsys.readouterr().err.split())
+    assert str(named["case"]) in " ".join(capsys.readouterr().err.split())
     (again,) = submit(quick_result, "Bob", [root], board)
     assert again.record["case"] == standing.record["case"]
     assert not any(str(seed) in path.read_text() for path in board.rglob("*.jsonl"))

@@ -46,8 +46,8 @@ def bubbly() -> Scene:
 
 
 def made(scene: Scene, folder: Path, **how: Any) -> str:
-    backend = "auto" if scene.bubbles else "splat"
-    return generate(scene, folder, backend=backend, name="s", **({"seed": 4} | how)).content_hash
+    how = {"seed": 4, "backend": "auto" if scene.bubbles else "splat"} | how
+    return generate(scene, folder, name="s", **how).content_hash
 
 
 @pytest.fixture

@@ -64,6 +64,7 @@ def rotate_field(field: Any, rotation: F64) -> Any:
     return turned.transpose(2, 1, 0, *range(3, field.ndim))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rotation"),
     [*((name, ROTATIONS[0]) for name in TOMOGRAPHY), (TOMOGRAPHY[0], ROTATIONS[1])],

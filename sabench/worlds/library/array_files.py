@@ -16,7 +16,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import file_series, last_number
 from sabench.utils.processes.call import read_isolated
-from sabench.utils.tables import UnitArray as Array, read_table
+from sabench.utils.tables import UnitArray as UnitArray, read_table
 
 FILE_NUMBER = "file_number"  # array of the number in the name of each value's file
 _CONTENTS = "contents.json"
@@ -33,7 +33,7 @@ Unit = str | float | None
 Names = Sequence[str] | None
 
 
-def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[str, Array]:
+def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[str, UnitArray]:
     """Read arrays of a file, or of a series joined to one, by their names.
 
     A path with a * in its last part is a series; `file_number` is then the last number in the name
@@ -68,7 +68,7 @@ def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[s
     return arrays
 
 
-def read_all_arrays(path: Path, suffix: str) -> dict[str, Array]:
+def read_all_arrays(path: Path, suffix: str) -> dict[str, UnitArray]:
     """Read the arrays of numbers at the root of a file as that suffix is read.
 
     Raises
@@ -83,7 +83,7 @@ def read_all_arrays(path: Path, suffix: str) -> dict[str, Array]:
 
 def _read_apart(
     path: Path, files: Sequence[Path], names: Names, suffix: str, skip_lines: int
-) -> dict[str, Array]:
+) -> dict[str, UnitArray]:
     """Read files in a limited child process, which hands the arrays over in a folder."""
     size = sum(file.stat().st_size for file in files)
     with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
@@ -91,7 +91,7 @@ def _read_apart(
         read_isolated(_store, path, *arguments, size_bytes=size)
         contents = json.loads((Path(folder) / _CONTENTS).read_text(encoding="utf-8"))
         return {
-            name: Array(np.load(Path(folder) / f"{number}.npy", allow_pickle=False), unit)
+            name: UnitArray(np.load(Path(folder) / f"{number}.npy", allow_pickle=False), unit)
             for number, (name, unit) in enumerate(contents)
         }
 
@@ -109,7 +109,7 @@ def _store(
     (folder / _CONTENTS).write_text(json.dumps(contents), encoding="utf-8")
 
 
-def _read_one(file: Path, names: Names, suffix: str, skip_lines: int) -> dict[str, Array]:
+def _read_one(file: Path, names: Names, suffix: str, skip_lines: int) -> dict[str, UnitArray]:
     """Read arrays of one file, with the number in its name."""
     if suffix not in _READERS and suffix not in _TEXT:
         raise InputError(
@@ -123,11 +123,11 @@ def _read_one(file: Path, names: Names, suffix: str, skip_lines: int) -> dict[st
         arrays = _READERS[suffix](file, inside)
     if names is not None and FILE_NUMBER in names:
         count = max((array.values.size for array in arrays.values()), default=0)
-        arrays[FILE_NUMBER] = Array(np.full(count, float(last_number(file))))
+        arrays[FILE_NUMBER] = UnitArray(np.full(count, float(last_number(file))))
     return arrays
 
 
-def _from_text(path: Path, names: Sequence[str], skip_lines: int) -> dict[str, Array]:
+def _from_text(path: Path, names: Sequence[str], skip_lines: int) -> dict[str, UnitArray]:
     table = read_table(path, 1, missing=True, skip_lines=skip_lines)
     if not len(table.values):
         raise InputError(f"{path}: expected numbers below a line of names, got none")
@@ -145,7 +145,7 @@ def _check_names(path: Path, names: Sequence[str], available: Iterable[str]) -> 
     return names
 
 
-def _from_hdf5(path: Path, names: Names) -> dict[str, Array]:
+def _from_hdf5(path: Path, names: Names) -> dict[str, UnitArray]:
     import h5py
 
     try:
@@ -156,7 +156,7 @@ def _from_hdf5(path: Path, names: Names) -> dict[str, Array]:
                 if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
                     del sets[name]
             return {
-                name: Array(_numbers(path, name, sets[name][()]), _text(sets[name].attrs))
+                name: UnitArray(_numbers(path, name, sets[name][()]), _text(sets[name].attrs))
                 for name in _choose(path, names, sets)
             }
     except OSError as error:
@@ -171,7 +171,7 @@ def _choose(path: Path, names: Names, content: dict[str, Any]) -> Sequence[str]:
     return [name for name, item in arrays.items() if item.dtype.kind in "fiu"]
 
 
-def _from_netcdf(path: Path, names: Names) -> dict[str, Array]:
+def _from_netcdf(path: Path, names: Names) -> dict[str, UnitArray]:
     """Read NetCDF: version 4 is HDF5, the classic kinds are SciPy's."""
     from scipy.io import netcdf_file
 
@@ -182,14 +182,16 @@ def _from_netcdf(path: Path, names: Names) -> dict[str, Array]:
         with netcdf_file(path, "r", mmap=False) as file:
             arrays = {name: np.array(variable[()]) for name, variable in file.variables.items()}
             return {
-                name: Array(_numbers(path, name, arrays[name]), _text(vars(file.variables[name])))
+                name: UnitArray(
+                    _numbers(path, name, arrays[name]), _text(vars(file.variables[name]))
+                )
                 for name in _choose(path, names, arrays)
             }
     except (ValueError, TypeError, IndexError, AssertionError) as error:
         raise InputError(f"{path}: expected an intact NetCDF file, got {error}") from error
 
 
-def _from_matlab(path: Path, names: Names) -> dict[str, Array]:
+def _from_matlab(path: Path, names: Names) -> dict[str, UnitArray]:
     """Read MATLAB files: version 7.3 is HDF5, versions 4 to 7 are SciPy's."""
     import h5py
     from scipy.io import loadmat
@@ -203,7 +205,7 @@ def _from_matlab(path: Path, names: Names) -> dict[str, Array]:
         raise InputError(f"{path}: expected an intact MATLAB file, got {error}") from error
     arrays = {name: array for name, array in content.items() if isinstance(array, np.ndarray)}
     chosen = _choose(path, names, arrays)
-    return {name: Array(_numbers(path, name, arrays[name])) for name in chosen}
+    return {name: UnitArray(_numbers(path, name, arrays[name])) for name in chosen}
 
 
 def _numbers(path: Path, name: str, values: Any) -> F64:
@@ -222,7 +224,7 @@ def _text(attributes: Any) -> str | None:
     return None if value is None else str(value)
 
 
-def _from_vtk(path: Path, names: Names) -> dict[str, Array]:
+def _from_vtk(path: Path, names: Names) -> dict[str, UnitArray]:
     try:
         from vtkmodules.util.numpy_support import vtk_to_numpy
     except ImportError as error:
@@ -242,11 +244,11 @@ def _from_vtk(path: Path, names: Names) -> dict[str, Array]:
     arrays = {}
     for name in _check_names(path, names or (), [*axes, *inside]):
         if name in axes:
-            arrays[name] = Array(axes[name])
+            arrays[name] = UnitArray(axes[name])
         else:
             values = vtk_to_numpy(content.GetArray(name))
             shaped = values.reshape(*counts[::-1], *values.shape[1:])
-            arrays[name] = Array(_numbers(path, name, shaped))
+            arrays[name] = UnitArray(_numbers(path, name, shaped))
     return arrays
 
 
@@ -281,7 +283,7 @@ _READERS = {
 }
 
 
-def length_mm(given: Unit, array: Array, where: str, key: str) -> float:
+def length_mm(given: Unit, array: UnitArray, where: str, key: str) -> float:
     """Return an array's unit in millimetres.
 
     It is taken from what is given (a name or a number), else from the file.
@@ -294,12 +296,12 @@ def length_mm(given: Unit, array: Array, where: str, key: str) -> float:
     return _factor(given, array, _LENGTHS, where, key, "mm")
 
 
-def time_s(given: Unit, array: Array, where: str, key: str) -> float:
+def time_s(given: Unit, array: UnitArray, where: str, key: str) -> float:
     """Return an array's unit in seconds; raises as `length_mm` does."""
     return _factor(given, array, _TIMES, where, key, "seconds")
 
 
-def speed_mm_s(given: Unit, array: Array, where: str, key: str) -> float:
+def speed_mm_s(given: Unit, array: UnitArray, where: str, key: str) -> float:
     """Return an array's unit in millimetres a second; raises as `length_mm` does."""
     speeds = {
         f"{unit}/{time}": mm / s for unit, mm in _LENGTHS.items() for time, s in _TIMES.items()
@@ -308,7 +310,7 @@ def speed_mm_s(given: Unit, array: Array, where: str, key: str) -> float:
 
 
 def _factor(
-    given: Unit, array: Array, units: dict[str, float], where: str, key: str, base: str
+    given: Unit, array: UnitArray, units: dict[str, float], where: str, key: str, base: str
 ) -> float:
     if isinstance(given, int | float):
         return float(given)

@@ -93,10 +93,10 @@ def test_particles_are_classified_as_they_are_scored(moving: Dataset) -> None:
     assert counts == {"true": 290, "found": 290, "missed": 10, "ghost": 3, "duplicate": 5}
     to_voxels = moving.setup.grid.to_voxels
     true = moving.particles(0).position_mm
-    voxels = [to_voxels(one) for one in (estimate.position_mm, true)]
-    every = np.ones(len(voxels[0]), dtype=np.bool_)
-    assert counts["found"] == len(challenge_pairs(*voxels)[0])
-    assert counts["duplicate"] == count_duplicates(*voxels, every)
+    voxels, true_voxels = to_voxels(estimate.position_mm), to_voxels(true)
+    every = np.ones(len(voxels), dtype=np.bool_)
+    assert counts["found"] == len(challenge_pairs(voxels, true_voxels)[0])
+    assert counts["duplicate"] == count_duplicates(voxels, true_voxels, every)
     missed = cloud.position_mm[cloud.kind == MISSED]
     assert np.array_equal(np.sort(missed, axis=0), np.sort(true[:10], 0))
     ghosts = cloud.select(cloud.kind == GHOST)

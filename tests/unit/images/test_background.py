@@ -47,6 +47,7 @@ def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixe
     assert not flaws.unknown.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.01, 0.1])
 def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> None:
     centers = [(60, 70, 2.0), (150, 250, 4.0)]

@@ -98,6 +98,7 @@ def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
     assert lone.mean() < 0.06
 
 
+@pytest.mark.slow
 def test_all_right_sets_are_among_those_found() -> None:
     """Every particle whose images are near their nominal positions makes a set."""
     cameras = build_rig(particle_scene(0.0)).cameras[:4]

@@ -15,11 +15,11 @@ from sabench.algorithms.tomography.projection_operator import (
     ProjectionOperator,
 )
 from sabench.utils.arrays import F32, F64
+from tests.unit.algorithms.refocus.test_synthetic_aperture import TILTED
 from tests.unit.algorithms.tomography.test_projection_operator import (
     BLOB,
     COLUMNS,
     ROWS,
-    TILTED,
     array,
     lines_of,
 )
@@ -98,7 +98,7 @@ def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
     return values
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "footprint"), [*zip(STEPS, [BLOB, BILINEAR] * 2, strict=True)])
 def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
     state = make_state(footprint)
@@ -133,6 +133,7 @@ def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
         assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_steps_do_not_depend_on_the_number_of_threads(name: str) -> None:
     most, found = numba.get_num_threads(), []

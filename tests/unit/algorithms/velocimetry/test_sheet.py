@@ -74,6 +74,7 @@ def test_uniform_flow_is_recovered_in_any_plane(camera: Camera, normal: F64) -> 
     assert np.abs(errors.mean(axis=0)).max() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("normal", NORMALS)
 def test_a_rotation_is_recovered_in_any_plane(camera: Camera, normal: F64) -> None:
     turn = rotation_matrices(0.05 * normal)

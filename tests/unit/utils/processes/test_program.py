@@ -95,7 +95,7 @@ def test_breaches_end_in_one_sentence(
 
 
 def is_alive(pid: int) -> bool:
-    return psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie"
+    return psutil.pid_exists(pid) and bool(psutil.Process(pid).status() != "zombie")
 
 
 def alive(folder: Path) -> list[int]:

@@ -19,7 +19,7 @@ from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.worlds.library.array_files import Array, read_arrays, speed_mm_s
+from sabench.worlds.library.array_files import UnitArray, read_arrays, speed_mm_s
 from sabench.worlds.tracers import Motion, require_flow
 from tests.conftest import ROOT
 from tests.helpers.refusals import refused
@@ -122,9 +122,9 @@ def test_a_field_is_the_same_from_every_format(
     "word", ["m s-1", "m.s^-1", "m*s**-1", " m / s ", "metres per second", "mm/ms"]
 )
 def test_speeds_are_written_in_many_ways_but_as_no_number(word: str) -> None:
-    assert speed_mm_s(None, Array(np.zeros(1), word), "u", "flow.speed") == pytest.approx(1e3)
+    assert speed_mm_s(None, UnitArray(np.zeros(1), word), "u", "flow.speed") == pytest.approx(1e3)
     with refused("u"):
-        speed_mm_s(None, Array(np.zeros(1), f"1000 {word}"), "u", "flow.speed")
+        speed_mm_s(None, UnitArray(np.zeros(1), f"1000 {word}"), "u", "flow.speed")
 
 
 def test_axes_may_stand_in_any_order_and_units_be_given(tmp_path: Path) -> None:
