@@ -106,6 +106,7 @@ def test_rows_of_other_names_stay_in_the_file(command: Command, tmp_path: Path) 
     assert [row["item"] for row in rows].count("fig-4-9") == 2
 
 
+@pytest.mark.slow
 def test_an_interruption_keeps_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not the first ones of the new rows: `--list` would take them for all."""
 

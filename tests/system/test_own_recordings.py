@@ -314,6 +314,7 @@ def judged(data: Dataset, out: Path, found: list[FoundParticles]) -> Quality:
     return quality(data, out, solve_again=False)
 
 
+@pytest.mark.slow
 def test_the_truth_explains_the_images(data: Dataset, tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     truth = [data.particles(frame) for frame in range(data.setup.frames)]

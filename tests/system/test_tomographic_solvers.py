@@ -69,7 +69,7 @@ def behind_glass() -> Shot:
     return simulate(scene_of(wall=True), seed=101)
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_particles_are_reconstructed(name: str, in_air: Shot, behind_glass: Shot) -> None:
     for shot, slack in ((in_air, 0.0), (behind_glass, 0.03)):

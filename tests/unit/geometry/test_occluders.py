@@ -141,6 +141,7 @@ def test_a_covered_camera_is_black_and_the_others_see_what_they_saw() -> None:
         assert_array_equal(mine.photons, theirs.photons)
 
 
+@pytest.mark.slow
 def test_the_true_field_keeps_particles_that_one_camera_misses() -> None:
     shot = shot_of(before_camera(QUICK, 0.5, 1.2))
     hidden = shot.views[0].photons == 0.0

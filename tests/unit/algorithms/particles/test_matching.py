@@ -226,6 +226,7 @@ def test_noise_without_particles_makes_none() -> None:
     assert len(solve(case, floor=1e-6).position_mm) == 0
 
 
+@pytest.mark.slow
 def test_peaks_that_agree_by_chance_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     case = noisy(make_small(3).observation, black=20.0)
     monkeypatch.setattr(matching, "_MOST_BY_CHANCE", 0.01)

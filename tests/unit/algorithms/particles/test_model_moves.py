@@ -115,6 +115,7 @@ def test_light_in_one_camera_alone_is_no_particle(maps: Maps) -> None:
         assert model_moves.remove_ghosts(model, room, particles, *rest) == expected
 
 
+@pytest.mark.slow
 def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(maps: Maps) -> None:
     """Light is a particle's own only where others leave none: it is sure without a trial."""
     size, light = pixel_mm(maps) / maps.half_mm, even_light(2)
@@ -237,6 +238,7 @@ def gains_of(
     return gains
 
 
+@pytest.mark.slow
 def test_the_promise_is_the_parabola_of_costs_of_halves_that_move_apart(maps: Maps) -> None:
     """Halves are painted a little apart here, and each camera's light is fitted to what they do."""
     point, light = np.array([[0.1, -0.2, 0.3]]), TYPICAL * np.array([[1.0, 1.5, 0.7, 1.2]])
@@ -323,6 +325,7 @@ def test_a_single_particle_is_not_split(maps: Maps) -> None:
     assert_allclose(model.left, left, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_wide_particle_is_not_split(maps: Maps) -> None:
     """Two so near that no camera sees them apart are one with a wider image."""
     size = pixel_mm(maps) / maps.half_mm

@@ -146,6 +146,7 @@ def test_steps_do_not_depend_on_the_number_of_threads(name: str) -> None:
         assert_array_equal(values, found[0][1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
     state = make_state()
