@@ -24,10 +24,11 @@ from sabench.dataset.results import open_result, result_writer
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.tasks import conformance, know_nothing
+from sabench.tasks import conformance
 from sabench.tasks.conformance import LAWS, LawResult, check_solver, example
 from sabench.tasks.solve_and_score import score
 from tests.conftest import Command
+from tests.helpers import know_nothing
 from tests.helpers.commands import refuse
 from tests.helpers.refusals import check_sentence, refused
 
