@@ -7,20 +7,20 @@ import pytest
 from tests.architecture.plan import ROOT
 from tests.architecture.weight import figures, tables, walk, weigh
 
-# Reached on 2026-11-28, plus 3 %.
+# Reached on 2026-11-29, plus 3 %.
 LIMITS: dict[str, float] = {
-    "sabench without apps: lines": 65752,
-    "sabench without apps: code lines": 43619,
-    "sabench without apps: modules": 350,
-    "reproduction: lines": 8101,
-    "tests: lines": 42435,
-    "apps: lines": 5415,
-    "modules with one importer": 82,
-    "import lines, percent": 6.9,
-    "walk of simulate: files": 49,
-    "walk of simulate: names": 270,
+    "sabench without apps: lines": 64804,
+    "sabench without apps: code lines": 43080,
+    "sabench without apps: modules": 320,
+    "reproduction: lines": 8057,
+    "tests: lines": 38604,
+    "apps: lines": 5317,
+    "modules with one importer": 58,
+    "import lines, percent": 6.3,
+    "walk of simulate: files": 41,
+    "walk of simulate: names": 268,
     "walk of score of particles: files": 7,
-    "walk of score of particles: names": 39,
+    "walk of score of particles: names": 40,
 }
 
 
