@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 _STEPS = 80
 _SMALLEST = 1e-4  # share of a step below which shorter ones are no longer tried
@@ -115,7 +115,7 @@ def follow(
     return valid
 
 
-@inner(error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _aim(
     gap: float, faces: Any, indices: Any, start: Any, point: Any, rays: Any, steps: Any
 ) -> tuple[float, float]:

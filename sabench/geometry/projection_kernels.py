@@ -19,7 +19,7 @@ import numpy as np
 
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 _BLOCK = 256
 _HALLEY, _NEWTON = 6, 100
@@ -94,7 +94,7 @@ def _climb(
             break
 
 
-@inner(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _paraxial(deep: Any, size: int, rare: float, others: Any, fluid: float, slope: Any) -> None:
     constant = rare
     for ratio, depth in others:
@@ -104,7 +104,7 @@ def _paraxial(deep: Any, size: int, rare: float, others: Any, fluid: float, slop
         slope[i] = 1.0 / (constant + deep[i] * scale)
 
 
-@inner(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _tangents(slope: Any, square: Any, size: int, first: Any) -> None:
     """Convert q to the tangent in the cameras' medium, given the lateral distance.
 

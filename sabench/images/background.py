@@ -15,7 +15,7 @@ import numpy as np
 from sabench.images.flaws import Flaws
 from sabench.images.widths import measure_images, noise_below_black
 from sabench.utils.arrays import F32, I64, Bool
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
 _BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles
@@ -179,7 +179,7 @@ def _level(image: Any, valid: Any, i: int, j: int, below: float, values: Any) ->
     return level if middle - level < _ROUGH * (level + below) else -np.inf
 
 
-@inner()
+@numba.njit(cache=True)
 def _percentiles(image: Any, valid: Any, i: int, j: int, values: Any) -> tuple[float, float]:
     """Return a low percentile and the median of a square's known pixels; NaN if few."""
     number = 0
@@ -223,7 +223,7 @@ def _measure_modes(image: Any, valid: Any, downs: Any, acrosses: Any, modes: Any
             modes[tile, 0], modes[tile, 1], modes[tile, 2] = _mode(values)
 
 
-@inner()
+@numba.njit(cache=True)
 def _mode(values: Any) -> tuple[float, float, float]:
     """Estimate the mode of sorted values, and their scatter and skew after clipping."""
     middle, scatter = np.median(values), values.std()

@@ -16,7 +16,7 @@ import numpy as np
 from sabench.images.gaussian_kernels import fill_profile
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
 from sabench.utils.vector_units import add_product, whole_lanes
 
@@ -193,7 +193,7 @@ def _chain(inner: Any, one: Any, other: Any, block: Any) -> None:  # pragma: no 
             block[1 + p, 1 + q] = column * other[0, q] + row * other[1, q]
 
 
-@inner()
+@numba.njit(cache=True)
 def _overlap(
     i: int, j: int, light: Any, shapes: Any, weight: Any, inner: Any
 ) -> None:  # pragma: no cover
@@ -329,7 +329,7 @@ def _reduce(
             out[a, b] = out[b, a] = 0.5 * (out[a, b] + out[b, a])
 
 
-@inner()
+@numba.njit(cache=True)
 def _times_blocks(blocks: Any, rows: Any, vectors: Any, out: Any) -> None:  # pragma: no cover
     """Fill in products of some rows' blocks with vectors."""
     for n in range(len(out)):
@@ -339,7 +339,7 @@ def _times_blocks(blocks: Any, rows: Any, vectors: Any, out: Any) -> None:  # pr
         add_product(out, n, blocks, rows[n], vectors, n)
 
 
-@inner()
+@numba.njit(cache=True)
 def _add_links(
     links: Any, places: Any, ends: Any, both: Any, vectors: Any, out: Any
 ) -> None:  # pragma: no cover
@@ -349,7 +349,7 @@ def _add_links(
             add_product(out, n, both, places[link], vectors, ends[link])
 
 
-@inner()
+@numba.njit(cache=True)
 def _fill_product(one: Any, other: Any, total: Any) -> None:  # pragma: no cover
     """Fill in the sums (4,) of products, for each unknown."""
     for r in range(_UNKNOWNS):

@@ -12,7 +12,7 @@ import numpy as np
 from sabench.images.flaws import Flaws, Repaired
 from sabench.images.peaks import maxima
 from sabench.utils.arrays import F32, U16, Bool
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 _WINDOW = 9  # px: edge of the square whose darkest part is the background
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
@@ -126,7 +126,7 @@ def _beside(light: Any, r: int, c: int) -> Any:
     return light[r, left], light[r, right], light[above, c], light[below, c]
 
 
-@inner()
+@numba.njit(cache=True)
 def _dim_side(a: Any, b: Any, c: Any, d: Any) -> Any:
     """Average the three darkest of four neighbours: two hot pixels may touch."""
     return (a + b + c + d - max(max(a, b), max(c, d))) / 3.0
@@ -152,12 +152,12 @@ def _mark_hot(light: Any, least: float, narrow: float, margin: float, points: An
             points[r, c] = most <= max(here, least) or _is_narrow(light, y, x, narrow, margin)
 
 
-@inner()
+@numba.njit(cache=True)
 def _is_narrow(light: Any, r: int, c: int, narrow: float, margin: float) -> bool:
     return bool(_dim_side(*_beside(light, r, c)) + margin < narrow * light[r, c])
 
 
-@inner()
+@numba.njit(cache=True)
 def _brightest(light: Any, r: int, c: int) -> Any:
     """Find row and column of the brightest of a pixel's four neighbours."""
     rows, columns = light.shape

@@ -47,14 +47,6 @@ _CLOCK = _CompileClock()
 event.register("numba:compiler_lock", _CLOCK)
 
 
-def inner(**options: Any) -> Any:
-    """Decorate a kernel that kernels alone call, not Python.
-
-    That saves a seventh of the time of the particle search's kernels.
-    """
-    return numba.njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
-
-
 def compile_s() -> float:
     """Return the seconds that this process spent compiling or loading kernels.
 
@@ -70,4 +62,4 @@ def load_registries() -> None:
     cpu_target.target_context.refresh()
 
 
-__all__ = ["compile_s", "inner", "load_registries", "numba"]
+__all__ = ["compile_s", "load_registries", "numba"]

@@ -83,7 +83,10 @@ SCENES: dict[str, tuple[int, float, dict[str, Any], int, float, float]] = {
     # their brightest pixels are three to seven standard deviations of noise
     "faint, nine cameras": (
         *(19, 0.02),
-        {"cameras": {"layout": NINE}, "illumination": SIDEWAYS | {"pulse_energy_mj": 22.0}},
+        {
+            "cameras": {"layout": NINE},
+            "illumination": {"scattering": "mie", "pulse_energy_mj": 22.0},
+        },
         *(60, 0.95, 0.98),
     ),
 }

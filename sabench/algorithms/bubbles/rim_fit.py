@@ -18,13 +18,13 @@ import numpy as np
 from sabench.algorithms.bubbles.backlit_images import LARGEST, REACH, SMALLEST, Profile
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 DIM = 0.02  # transmission of the darkest model
 _MARGIN = 2.5  # px around a bubble that are looked at
 
 
-@inner(error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
     """Interpolate transmission at a distance in px, a part of the radius."""
     radius = distance / part if part > 1e-9 else 1e9
@@ -94,7 +94,7 @@ def slopes_at(
     return here
 
 
-@inner(error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def box_of(ellipse: Any, shape: Any, blur: float) -> Any:
     """Find the rows and columns that an ellipse's image reaches, and its mean radius."""
     determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]

@@ -20,7 +20,7 @@ from sabench.geometry.volume_polynomials import (
 )
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 _CELL_PX = 1.0  # edge of the cells that count sets
 _SPOT_PX = 0.6  # radius of what belongs together
@@ -250,7 +250,7 @@ def match_peaks(
     return int(count)
 
 
-@inner()
+@numba.njit(cache=True)
 def _is_among(numbers: Any, number: int) -> bool:
     among = False
     for other in numbers:
@@ -284,7 +284,7 @@ def _intersect(
     return bool(abs(position[0]) <= 1.0 and abs(position[1]) <= 1.0 and abs(position[2]) <= 1.0)
 
 
-@inner()
+@numba.njit(cache=True)
 def _others(
     maps: Any,
     peaks: Any,

@@ -13,7 +13,7 @@ d_i p / sqrt(n_i^2 - p^2) = |L|; the derivatives of p are those of an implicit f
 import math
 from typing import Any
 
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 # rotation 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3, tilt 2
 CAMERA = 16
@@ -47,7 +47,7 @@ def _bend(indices: Any, depths: Any, radius: float) -> float:
     return slope
 
 
-@inner()
+@numba.njit(cache=True)
 def _leave(
     indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
 ) -> tuple[float, float]:
@@ -151,7 +151,7 @@ def observe(
     return focal * du + lens[1], focal * dv + lens[2], True
 
 
-@inner()
+@numba.njit(cache=True)
 def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
     """Fill in derivatives by coefficients of distortion at (u, v)."""
     s = u * u + v * v
@@ -161,7 +161,7 @@ def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
     row[12] = right * (s + 2.0 * u * u) + down * 2.0 * u * v
 
 
-@inner()
+@numba.njit(cache=True)
 def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
     """Take distorted coordinates to a tilted sensor.
 

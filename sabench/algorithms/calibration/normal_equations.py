@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.calibration.kernels import BEND, BOARD, CAMERA, observe
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 
-@inner()
+@numba.njit(cache=True)
 def _rotate(rotation: Any, point: Any, lever: Any) -> None:
     for axis in range(3):
         lever[axis] = (

@@ -34,7 +34,7 @@ from sabench.algorithms.particles.image_model import (
 from sabench.algorithms.particles.joint_fit import factorise_cholesky, fill_inverse_diagonal
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
@@ -156,7 +156,7 @@ def _colours(low: Any, high: Any) -> Any:
     return colour
 
 
-@inner()
+@numba.njit(cache=True)
 def _overlap(low: Any, high: Any, first: int, other: int) -> bool:
     for c in range(low.shape[1]):
         if (

@@ -26,7 +26,7 @@ from sabench.geometry.volume_polynomials import (
     project_row,
 )
 from sabench.utils.arrays import F32, F64, I64, Bool
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
 _NARROWEST, _ANY = 0.4, 1e-3  # px: widths of images that a lattice of pixels' steps does not miss
@@ -213,7 +213,7 @@ def _sweep(
                     means[z, y, x] = _mean_log(logs, pixels, x, floor, spread, most, lows)
 
 
-@inner()
+@numba.njit(cache=True)
 def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any, lows: Any) -> Any:
     """Average the cameras' logarithms at a point; `lows` has room for the darkest."""
     total, count, cameras, last = 0.0, 0, len(logs), len(lows) - 1
@@ -255,7 +255,7 @@ def _mark_maxima(means: Any, places: Any) -> int:
     return count
 
 
-@inner()
+@numba.njit(cache=True)
 def _is_maximum(means: Any, z: int, y: int, x: int) -> bool:
     """Return whether no neighbour is brighter, and no earlier one as bright."""
     slices, rows, columns = means.shape

@@ -15,7 +15,7 @@ from sabench.algorithms.particles.image_model import (
 from sabench.geometry.volume_polynomials import project_with_slopes
 from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each
 
 _LEAST_ERROR_PX = 0.002  # of positions, added to those from the images
@@ -73,7 +73,7 @@ def _spots(
     return ParticleSpots(pixel, slope / model.maps.half_mm, light, width, variance)
 
 
-@inner()
+@numba.njit(cache=True)
 def fit_line(total: float, x: float, y: float, xx: float, xy: float) -> tuple[float, float]:
     """Fit a line to sums of weights, x, y, x^2, x y; returns value at 0 and slope."""
     if not total > 0.0:

@@ -16,7 +16,7 @@ import numpy as np
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussian_kernels import fill_derivatives, fill_profile
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.vector_units import (
     CURVE_SLOPE_Y,
     CURVE_X,
@@ -215,7 +215,7 @@ def is_plain(shapes: Any, c: int) -> bool:
     return bool((shapes[c, 2, 0] == 0.0) & (shapes[c, 3, 0] == 0.0))  # `and` is slower
 
 
-@inner()
+@numba.njit(cache=True)
 def _shape_profiles(
     table: Any, shape: Any, position: Any, here: Any, width: Any, corner: Any
 ) -> None:
@@ -269,7 +269,7 @@ def fill_slopes(model: Any, room: Any, c: int, by_x: Any, by_y: Any) -> None:
         _fill_products(room, c, SHAPED_BY_Y, by_y)
 
 
-@inner()
+@numba.njit(cache=True)
 def _fill_products(room: Any, c: int, pairs: Any, image: Any) -> None:
     """Fill in the sum of products of pairs of profiles."""
     for i in range(room.window):
@@ -288,7 +288,7 @@ def counting(weight: Any, left: Any) -> Any:
     return abs(weight) if (weight >= _NONE) | (left > _NONE) else _NONE
 
 
-@inner(fastmath=_ANY_ORDER)
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
 def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) -> None:
     top, start = np.uintp(corner[1]), np.uintp(corner[0])
     for block in range(len(x) // LANES):
@@ -311,14 +311,14 @@ def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
             _paint(image, rows[first + k], rows[OWN_Y + k], room.window, room.corner[c], amount)
 
 
-@inner()
+@numba.njit(cache=True)
 def take_out(model: Any, room: Any, position: Any, light: Any) -> None:
     """Give the light of a particle back to what is left of the images."""
     place_windows(model, room, position)
     paint_here(model, room, light, 1.0)
 
 
-@inner()
+@numba.njit(cache=True)
 def put_in(model: Any, room: Any, position: Any, light: Any) -> None:
     """Subtract the light of a particle from what is left of the images."""
     place_windows(model, room, position)
@@ -343,7 +343,7 @@ def look(model: Any, room: Any, position: Any, light: Any) -> None:
     match_here(model, room, light)
 
 
-@inner()
+@numba.njit(cache=True)
 def match_here(model: Any, room: Any, light: Any) -> None:
     """Sum up as `look` does, where `place_windows` was last."""
     room.given[0] = 0.0
@@ -362,7 +362,7 @@ def match_here(model: Any, room: Any, light: Any) -> None:
         room.given[0] += given
 
 
-@inner()
+@numba.njit(cache=True)
 def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
     """Fill in all cameras' sums of weights for light 1 of a subtracted particle.
 

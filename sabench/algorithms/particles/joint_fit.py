@@ -28,7 +28,7 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
 )
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 # Light:
 _LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step that is the last
@@ -182,7 +182,7 @@ def fill_inverse_diagonal(factor: Any, diagonal: Any, column: Any) -> None:
             diagonal[k] += column[i] ** 2
 
 
-@inner()
+@numba.njit(cache=True)
 def _substitute(factor: Any, right: Any) -> None:
     count = len(right)
     for i in range(count):
@@ -206,7 +206,7 @@ def cost_of(model: Any, room: Any, light: Any) -> float:
     return float(cost - room.given[0])
 
 
-@inner()
+@numba.njit(cache=True)
 def best_light(model: Any, room: Any, light: Any) -> float:
     """Fill in the most probable light (camera,) after `look`; returns its cost."""
     cost = find_light(
@@ -217,7 +217,7 @@ def best_light(model: Any, room: Any, light: Any) -> float:
     return float(cost - room.given[0])
 
 
-@inner()
+@numba.njit(cache=True)
 def _add_to_matrix(matrix: Any, slope: Any, sums: Any, light: float) -> None:
     """Add a camera's share of the position's normal matrix, after `sum_up`."""
     square, xx, xy, yy = light * light, sums[XX], sums[XY], sums[YY]
@@ -268,7 +268,7 @@ def solve_three(matrix: Any, right: Any, step: Any) -> float:
     return float(determinant)
 
 
-@inner()
+@numba.njit(cache=True)
 def _fits_already(model: Any, room: Any, light: Any) -> bool:
     """Return whether no step of position or light would lower the cost notably.
 

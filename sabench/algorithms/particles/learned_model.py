@@ -32,7 +32,7 @@ from sabench.images.gaussian_kernels import fill_derivatives
 from sabench.images.near_images import near_images
 from sabench.images.widths import LEAST_TILTED
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, TILT_SLOPE_Y
 
@@ -160,7 +160,7 @@ def _miss(left: float, saturated: bool) -> float:
     return 0.0 if saturated and left < 0.0 else left
 
 
-@inner()
+@numba.njit(cache=True)
 def _modelled(image: float, left: float) -> float:
     """Return the particles' light in a pixel, at most what the image shows."""
     return min(max(image - left, 0.0), max(image, 0.0))
@@ -308,7 +308,7 @@ def add_shape_misses(
                     )
 
 
-@inner()
+@numba.njit(cache=True)
 def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
     """Fill in (shape, row, column) an image's derivatives by its shape.
 

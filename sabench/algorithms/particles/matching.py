@@ -28,7 +28,7 @@ from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.levels import bright_dn
 from sabench.images.peaks import Peaks, detect_particle_peaks, find_near, keep_peaks
 from sabench.utils.arrays import F32, F64, I64, Bool
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.threads import Deadline
 
 _MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
@@ -337,7 +337,7 @@ def _has(values: Any, count: int, value: int) -> bool:
     return among
 
 
-@inner()
+@numba.njit(cache=True)
 def _within(position: Any, bound: float) -> bool:
     inside = True
     for i in range(3):
@@ -345,7 +345,7 @@ def _within(position: Any, bound: float) -> bool:
     return inside
 
 
-@inner()
+@numba.njit(cache=True)
 def _others(maps: Any, peaks: Any, chosen: Any, position: Any, radius: float, covered: Any) -> bool:
     """Choose the nearest image in each other camera; False if an open one shows none."""
     here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64)
@@ -374,7 +374,7 @@ def _open(covered: Any, pixel: Any) -> bool:
     return not covered[int(np.rint(pixel[1])), int(np.rint(pixel[0]))]
 
 
-@inner()
+@numba.njit(cache=True)
 def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
     """Fit a position to the chosen images; returns the largest distance left, px."""
     here, slope, matrix, right, worst = (
@@ -408,7 +408,7 @@ def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
     return worst
 
 
-@inner()
+@numba.njit(cache=True)
 def _error(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
     here, slope, total, count = np.zeros(2), np.zeros((2, 3)), 0.0, 0
     for c in range(len(peaks)):

@@ -37,7 +37,7 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64, Bool
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 
 # Removals:
@@ -138,7 +138,7 @@ def _put_back(
             put_in(model, room, positions[k], lights[k])
 
 
-@inner()
+@numba.njit(cache=True)
 def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
     """Compute the least that a particle gains, after `penalty`.
 
@@ -159,7 +159,7 @@ def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
     return float(total - most - prior)
 
 
-@inner()
+@numba.njit(cache=True)
 def _gain_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light: float) -> float:
     gained = 0.0
     for i in range(len(share)):
@@ -170,7 +170,7 @@ def _gain_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light
     return gained
 
 
-@inner()
+@numba.njit(cache=True)
 def _saved(weight: Any, left: Any, amount: float) -> float:
     without, rest = left + amount, left
     if weight < 0.0:  # saturated: more light than it shows adds no cost
@@ -200,7 +200,7 @@ def _count_meetings(
                     counts[n] += x * x + y * y <= reach[c] * reach[c]
 
 
-@inner()
+@numba.njit(cache=True)
 def _largest_share(room: Any, light: Any) -> float:
     """Compute the share of a particle's gains, after `look`, in its best camera."""
     most, total = 0.0, 1e-300
@@ -258,7 +258,7 @@ def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains
             gains[n] = max(gains[n], gain)
 
 
-@inner()
+@numba.njit(cache=True)
 def _match_bends(
     model: Any, room: Any, c: int, bent: Any, image: Any, pull: Any, square: Any
 ) -> None:
@@ -294,7 +294,7 @@ def _match_bends(
             square[m, k] = square[k, m]
 
 
-@inner()
+@numba.njit(cache=True)
 def _promise(room: Any, light: Any, step: Any, pull: Any, square: Any) -> float:
     """Compute the decrease of the cost by halves a step (3,) apart, to second order."""
     slope, bend, terms = 0.0, 0.0, np.zeros(3)
@@ -359,7 +359,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
                 put_in(model, room, middle, light)
 
 
-@inner()
+@numba.njit(cache=True)
 def _are_apart(model: Any, room: Any, places: Any) -> bool:
     """Return whether some camera sees two positions apart.
 
@@ -375,7 +375,7 @@ def _are_apart(model: Any, room: Any, places: Any) -> bool:
     return False
 
 
-@inner()
+@numba.njit(cache=True)
 def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: Any) -> float:
     """Replace a particle by two of half its light, and fit both.
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.refocus.rectification import LINEAR, weights
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 # a tile's accumulators and the pixels that it reads stay in the first two caches
 TILE_ROWS, TILE_COLUMNS = 16, 512
@@ -28,7 +28,7 @@ _REST = np.polynomial.polynomial.polyfit(_T, (np.log2(1.0 + _T) - _T) / (_T * (1
 _LOG2_REST = tuple(_REST.astype(np.float32))
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
     """Find the voxel where a position enters another pixel.
 
@@ -47,7 +47,7 @@ def _fold(total: Any, sample: Any, fold: Any) -> Any:
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _fold_row(
     image: Any, spline: Any, affine: Any, row: int, begin: int, outside: Any, fold: Any, target: Any
 ) -> None:
@@ -114,7 +114,7 @@ def _interpolate(
             target[i] = _fold(target[i], over + under, fold)
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
@@ -133,7 +133,7 @@ def _fold_tile(
         _fold_row(image, spline, affine, row, 0, outside, fold, total[start : start + columns])
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _fold_four(
     image: Any,
     flat: Any,
@@ -248,7 +248,7 @@ def _interpolate_four(
         )
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _add_log2(product: Any, total: Any) -> None:
     """Add log2(product) to total and set product to 1; within 5e-6.
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.utils.arrays import F32
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 # degrees of splines as lengths of tuples, which are part of their types: kernels are compiled for
 # each
@@ -124,7 +124,7 @@ def resample(
         )
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _along_row(polynomial: Any, degree: int, v: float) -> Any:
     """Evaluate coefficients in u of a bivariate polynomial at a fixed v."""
     line = np.zeros(degree + 1)

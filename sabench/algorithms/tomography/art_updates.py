@@ -24,7 +24,7 @@ import numpy.typing as npt
 from sabench.algorithms.tomography.kernels import STEPS, exp2, locate, multiply, scratch
 from sabench.algorithms.tomography.projection_operator import ProjectionOperator
 from sabench.utils.arrays import F32, I64, Bool
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
 # rows of pixels, more than a footprint has: every other strip shares no voxel with this one
@@ -139,7 +139,7 @@ def _fill(
         )
 
 
-@inner()
+@numba.njit(cache=True)
 def _fill_part(
     geometry: Any,
     camera: int,
@@ -188,7 +188,7 @@ def _sweep(buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: An
             )
 
 
-@inner()
+@numba.njit(cache=True)
 def _sweep_strip(buckets: Any, image: Any, saturated: Any, relaxation: Any, strip: int) -> float:
     total = 0.0
     for row in range(strip * STRIP, min((strip + 1) * STRIP, len(image))):
@@ -199,7 +199,7 @@ def _sweep_strip(buckets: Any, image: Any, saturated: Any, relaxation: Any, stri
     return total
 
 
-@inner()
+@numba.njit(cache=True)
 def _correct(
     buckets: Any, row: int, column: int, light: Any, saturated: Any, relaxation: Any
 ) -> Any:
@@ -212,7 +212,7 @@ def _correct(
     return (light - projected) ** 2
 
 
-@inner()
+@numba.njit(cache=True)
 def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
     """Compute sum_j W_ij I_j of one pixel."""
     total = np.float32(0.0)
@@ -226,7 +226,7 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
     return total
 
 
-@inner()
+@numba.njit(cache=True)
 def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
     """Multiply the voxels of one pixel: I_j <- I_j 2^(exponent W_ij)."""
     for above in range(min(buckets.taps, row + 1)):
@@ -239,7 +239,7 @@ def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
         )
 
 
-@inner()
+@numba.njit(cache=True)
 def _stretch(buckets: Any, row: int, column: int) -> Any:
     """List rows, columns and light of the voxels with footprints that reach a pixel."""
     left, line = max(column - buckets.taps + 1, 0), row * buckets.columns
@@ -255,7 +255,7 @@ def _sum(down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any)
     return total
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _multiply(
     down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any, exponent: Any
 ) -> None:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 _BITS = 10
 STEPS = 1 << _BITS  # places inside a pixel, along either axis, that are distinguished
@@ -86,7 +86,7 @@ def locate(geometry: Any, camera: int, row: int, x: Any, work: Any) -> Any:
     return base[: len(x)], across[: len(x)], down[: len(x)]
 
 
-@inner()
+@numba.njit(cache=True)
 def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> None:
     """Evaluate a plane's polynomials in steps, shifted by `shift`, at one v."""
     total[:] = 0.0
@@ -116,7 +116,7 @@ def _evaluate(line: Any, x: Any, width: int, position: Any) -> None:
             row[i] = row[i] * u[i] + b
 
 
-@inner()
+@numba.njit(cache=True)
 def _fix(position: Any, count: int, geometry: Any, base: Any, across: Any, down: Any) -> None:
     column, row = position[1], position[2]
     low, mask, stride = (
@@ -140,7 +140,7 @@ def _fix(position: Any, count: int, geometry: Any, base: Any, across: Any, down:
         down[i] = np.uint16(q & mask)
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def sample_image(image: Any, columns: int, base: Any, across: Any, down: Any) -> Any:
     """Interpolate bilinearly in an image (flat)."""
     corner, below = np.uint32(base), np.uint32(base + columns)

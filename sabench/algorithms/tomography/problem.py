@@ -18,7 +18,7 @@ from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, I64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
 _SLAB = 8_000_000  # voxels that are allocated at a time
@@ -101,7 +101,7 @@ def _multiply_rows(
         )
 
 
-@inner()
+@numba.njit(cache=True)
 def _multiply_block(
     geometry: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
@@ -130,7 +130,7 @@ def _multiply_block(
         counts[row] = _take_root(counts[row], x[row], product[row], views[row], values[row])
 
 
-@inner()
+@numba.njit(cache=True)
 def _multiply_camera(
     geometry: Any,
     image: Any,
@@ -160,7 +160,7 @@ def _multiply_camera(
     return written
 
 
-@inner()
+@numba.njit(cache=True)
 def _take_root(left: int, x: Any, product: Any, views: Any, values: Any) -> int:
     """Take the root of the product for voxels that any camera sees; count them."""
     written = 0

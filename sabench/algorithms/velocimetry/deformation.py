@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 _TERMS = 14  # of a geometric series that falls to a hundred-millionth: float32 holds no more
 
 
-@inner()
+@numba.njit(cache=True)
 def _mirror(index: int, count: int) -> int:
     """Mirror an index beyond the ends of a line into it, as often as it takes."""
     if count == 1:
@@ -38,7 +38,7 @@ def spline_coefficients(volume: Any) -> Any:
     return out
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _filter_line(line: Any, pole: Any) -> None:
     count = len(line)
     if count < 2:
@@ -57,7 +57,7 @@ def _filter_line(line: Any, pole: Any) -> None:
         line[n] *= np.float32(6.0)
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _filter_rows(plane: Any, pole: Any) -> None:
     count, width = plane.shape
     if count < 2:
@@ -156,7 +156,7 @@ def deform(coefficients: Any, field: Any, origin: Any, step: Any, share: float, 
         _read_row(coefficients, positions, corners, z, y, out, beyond)
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _read_row(
     coefficients: Any, positions: Any, corners: Any, z: int, y: int, out: Any, beyond: Any
 ) -> None:
@@ -185,7 +185,7 @@ def _read_row(
         first = end
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _read_edge(
     coefficients: Any, positions: Any, corners: Any, first: int, end: int, out: Any, beyond: Any
 ) -> None:
@@ -204,13 +204,13 @@ def _read_edge(
             )
 
 
-@inner()
+@numba.njit(cache=True)
 def _is_beyond(voxel: int, part: Any, count: int) -> bool:
     """Return whether a point, a part of a step after a voxel, is outside."""
     return voxel < 0 or voxel >= count or (voxel == count - 1 and part > 0.0)
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
@@ -231,7 +231,7 @@ def _aim(
             corners[axis, x], positions[axis, x] = whole, move - whole
 
 
-@inner()
+@numba.njit(cache=True)
 def _alike(corners: Any, first: int) -> int:
     """Find the next voxel that is not read next to its neighbour's position."""
     end = first + 1
@@ -280,7 +280,7 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
     )
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _stretch(
     flat: Any, at: int, width: int, plane: int, positions: Any, first: int, end: int, out: Any
 ) -> None:
@@ -296,7 +296,7 @@ def _stretch(
         )
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _row_field(field: Any, z: float, y: float) -> Any:
     """Interpolate the displacements of one row in z and y: (x, 3)."""
     above, back = (

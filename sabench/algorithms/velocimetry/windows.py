@@ -16,7 +16,7 @@ import numpy as np
 import scipy.fft
 
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
@@ -63,7 +63,7 @@ def block_sums(
                         squares[bz, by, bx, position + n] = square
 
 
-@inner(fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def _add_rows(first: Any, second: Any, search: int, rows: Any) -> None:
     """Add products of rows and the second's squares.
 
@@ -240,7 +240,7 @@ def _largest(values: Any) -> int:
     return 0
 
 
-@inner()
+@numba.njit(cache=True)
 def _to_displacement(position: int, count: int) -> int:
     return position - count if position > count // 2 else position
 

@@ -27,7 +27,7 @@ from sabench.scenes import Scene
 from sabench.simulation.rendering.light_routes import Route, direct
 from sabench.simulation.rendering.particle_light import Scatterers, intensity
 from sabench.utils.arrays import F64, I64, Bool, in_box, triple
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 _CHUNK, _BLOCK = 8192, 256  # points at a time: of exact paths, and of polynomials
 _DEGREES = (4, 6, 8, 11)  # of polynomials over a box, tried in this order
@@ -196,7 +196,7 @@ def _evaluate(points: Any, low: Any, high: Any, terms: Any, coefficients: Any, o
         _evaluate_block(points, block * _BLOCK, low, high, terms, coefficients, out)
 
 
-@inner(fastmath={"contract", "nsz"})
+@numba.njit(cache=True, fastmath={"contract", "nsz"})
 def _evaluate_block(
     points: Any, first: int, low: Any, high: Any, terms: Any, coefficients: Any, out: Any
 ) -> None:

@@ -20,7 +20,7 @@ from sabench.geometry.camera import Camera
 from sabench.images.gaussian_kernels import fill_shares
 from sabench.simulation.rendering.particle_images import ParticleImages, diffraction_px
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.vector_units import add_products, whole_lanes
 
 _PARTS = 2  # of a pixel's edge
@@ -175,7 +175,7 @@ def _add_windows(
             _add_band(image, starts[band], starts[band + 1], shapes)
 
 
-@inner(fastmath=_ANY_ORDER)
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
 def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
     if first == last:
         return
@@ -214,7 +214,7 @@ def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
 # row: h is the normal density times Hermite's polynomial of order n - 1, over the root of (n - 1)!.
 
 
-@inner()
+@numba.njit(cache=True)
 def _count_terms(tilt: float) -> int:
     """Count the terms of a series, with the one that has no correlation."""
     power, n = abs(tilt) * _LARGEST_TERM, 1
@@ -223,7 +223,7 @@ def _count_terms(tilt: float) -> int:
     return n
 
 
-@inner(fastmath=_ANY_ORDER)
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
 def _fill_terms(
     center: float, sigma: float, first: int, size: int, terms: int, edges: Any, factors: Any
 ) -> None:
@@ -243,7 +243,7 @@ def _fill_terms(
             older[i], h[i] = h[i], higher
 
 
-@inner()
+@numba.njit(cache=True)
 def _fill_density(center: float, sigma: float, first: int, size: int, z: Any, h: Any) -> None:
     """Fill in equally spaced numbers and their normal density.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from sabench.scenes.sensor import Sensor
 from sabench.utils.arrays import F64, U16
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.utils.philox import block, draw_key, fill_blocks
 
@@ -74,7 +74,7 @@ def _uniform(high: Any, low: Any) -> Any:
     return np.int64((high << _SHIFT) | (low >> _UNUSED)) * 2.0**-53
 
 
-@inner()
+@numba.njit(cache=True)
 def fill_normals(key: Any, row: Any, blocks: Any, numbers: Any) -> None:
     """Fill in standard normal numbers (column,) of a row for read noise.
 
@@ -90,7 +90,7 @@ def fill_normals(key: Any, row: Any, blocks: Any, numbers: Any) -> None:
             numbers[column] = _normal(key, np.uint64(column), row, READ, words)
 
 
-@inner()
+@numba.njit(cache=True)
 def fill_poisson(key: Any, row: Any, blocks: Any, means: Any, numbers: Any) -> None:
     """Fill in Poisson numbers (column,) of a row for its means (column,).
 
@@ -148,7 +148,7 @@ def _normal(key: Any, column: Any, row: Any, purpose: Any, words: Any) -> Any:
     return math.copysign(_normal_at_edge(key, column, row, purpose, layer, abs(x)), x)
 
 
-@inner()
+@numba.njit(cache=True)
 def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x: float) -> Any:
     """Draw on where a layer is not wholly below the density.
 
@@ -173,7 +173,7 @@ def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x
             return x
 
 
-@inner()
+@numba.njit(cache=True)
 def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
     """Draw a Poisson number."""
     if mean * _PER_UNIT < 1.0:
@@ -194,7 +194,7 @@ def _look_up(words: Any, mean: float) -> Any:
     return float(k) + _invert(_uniform(words[2], words[3]), mean - cell / _PER_UNIT)
 
 
-@inner()
+@numba.njit(cache=True)
 def _invert(u: float, mean: float) -> Any:
     """Find a small mean's first number with a cumulative probability above u."""
     if u < 1.0 - mean:  # which is less than exp(-mean)
@@ -213,7 +213,7 @@ def _invert(u: float, mean: float) -> Any:
 # probability is larger, drawn by rejection from a double exponential.
 
 
-@inner()
+@numba.njit(cache=True)
 def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
     root = math.sqrt(mean)
     k = np.floor(mean + root * _normal(key, column, row, SHOT, words))
@@ -231,7 +231,7 @@ def _is_near(k: float, mean: float, u: float) -> Any:
     return short * short * short <= 6.0 * mean * mean * u
 
 
-@inner()
+@numba.njit(cache=True)
 def _from_rest(key: Any, column: Any, row: Any, mean: float, root: float) -> Any:
     attempt = np.uint64(0)
     while True:
@@ -246,7 +246,7 @@ def _from_rest(key: Any, column: Any, row: Any, mean: float, root: float) -> Any
             return k
 
 
-@inner()
+@numba.njit(cache=True)
 def _normal_share(k: float, mean: float, root: float) -> Any:
     """Compute the share of a normal distribution from k to k + 1."""
     x, step = (k - mean) / (root * math.sqrt(2.0)), 1.0 / (root * math.sqrt(2.0))
@@ -255,7 +255,7 @@ def _normal_share(k: float, mean: float, root: float) -> Any:
     return 0.5 * (math.erfc(-x - step) - math.erfc(-x))
 
 
-@inner()
+@numba.njit(cache=True)
 def _chance(k: float, mean: float) -> Any:
     """Compute the probability of a Poisson number, without cancellation.
 
@@ -266,7 +266,7 @@ def _chance(k: float, mean: float) -> Any:
     return math.exp(-_stirling_error(k) - _deviance(k, mean)) / math.sqrt(2.0 * math.pi * k)
 
 
-@inner()
+@numba.njit(cache=True)
 def _stirling_error(k: float) -> Any:
     if k < _SERIES:
         return _ERRORS[np.intp(k)]
@@ -274,7 +274,7 @@ def _stirling_error(k: float) -> Any:
     return (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0))) / k
 
 
-@inner()
+@numba.njit(cache=True)
 def _deviance(k: float, mean: float) -> Any:
     """Compute k log(k / mean) + mean - k."""
     ratio = (k - mean) / (k + mean)
@@ -393,7 +393,7 @@ def _expose(photons: Any, pixels: Any, key: Any, chain: Any, grey: Any) -> Any:
     return wrong
 
 
-@inner()
+@numba.njit(cache=True)
 def _expose_rows(
     photons: Any, pixels: Any, key: Any, chain: Any, first: int, last: int, grey: Any
 ) -> Any:
@@ -416,7 +416,7 @@ def _expose_rows(
     return wrong
 
 
-@inner()
+@numba.njit(cache=True)
 def _fill_means(photons: Any, pixels: Any, chain: Any, row: Any, means: Any) -> Any:
     wrong = 0
     for column in range(len(means)):
@@ -431,7 +431,7 @@ def _fill_means(photons: Any, pixels: Any, chain: Any, row: Any, means: Any) -> 
     return wrong
 
 
-@inner()
+@numba.njit(cache=True)
 def _fill_grey(signal: Any, noise: Any, pixels: Any, chain: Any, row: Any, grey: Any) -> None:
     for column in range(len(signal)):
         value = min(signal[column], chain.full_well_e)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sabench.api.truth import Bubbles, Solid
 from sabench.utils.arrays import F64, I64, Bool
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 
 
 def contains(body: Solid, points_mm: F64) -> Bool:
@@ -172,7 +172,7 @@ def _contacts(center: Any, first: Any, other: Any, second: Any, out: Any) -> Non
         out[n] = contact_factor(center[n], first[n], other[n], second[n])
 
 
-@inner(error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def contact_factor(center: Any, first: Any, other: Any, second: Any) -> Any:
     """Maximise the contact function over x from 0 to 1.
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import inner, numba
+from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.worlds.library.overlaps import contact_factor, shapes_of
 
@@ -104,7 +104,7 @@ def _enter(n: int, point: Any, heads: Any, chain: Any, cells: Any, low: Any, wid
     heads[where] = n
 
 
-@inner(error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _fits(
     n: int,
     point: Any,
