@@ -217,7 +217,7 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
     """
     keys = read_json(path)
     if isinstance(keys, dict) and "grid" in keys:
-        setup = read_cameras_file(path.parent)
+        setup = read_cameras(path.parent)
         return setup.cameras, setup.grid
     loaded = schema.read_versioned(CalibratedFile, path)
     walls = _walls(loaded.wall, len(loaded.cameras))
@@ -227,7 +227,7 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
     return behind(walls, loaded.cameras), None
 
 
-def read_cameras_file(root: Path) -> CamerasFile:
+def read_cameras(root: Path) -> CamerasFile:
     """Read the cameras of a data set, every one with its wall."""
     path = inside(root, schema.CAMERAS)
     return check_setup(read_json(path), path)
@@ -370,7 +370,7 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
         )
 
 
-def write_cameras_file(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> None:
+def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> None:
     """Write cameras as `list_cameras` lists them."""
     path.write_text(canonical_json(list_cameras(cameras, **keys)), encoding="utf-8")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.dataset.cameras import read_cameras_file
+from sabench.dataset.cameras import read_cameras
 from sabench.dataset.recorded import RecordedWriter, ReferenceList, extended, recorded_writer
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import grid_of_box, pixel_size_mm, propose_box, share_in_view
@@ -253,7 +253,7 @@ def import_recording(
             **_keys(made, options),
         )
         try:
-            read_cameras_file(writer.root)
+            read_cameras(writer.root)
         except InputError as error:
             raise InputError(str(error).replace(str(writer.root), str(out))) from None
     return made

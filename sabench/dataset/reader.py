@@ -14,7 +14,7 @@ import numpy as np
 from sabench.api import CalibrationCase, Observation, Shown, truth
 from sabench.dataset import schema
 from sabench.dataset.arrays import AnyArrays, group_of, read_declared
-from sabench.dataset.cameras import CamerasFile, read_cameras_file, read_true_cameras
+from sabench.dataset.cameras import CamerasFile, read_cameras, read_true_cameras
 from sabench.dataset.hdf5 import names_in, open_hdf5, read_array
 from sabench.dataset.recorded import ReferencesFile, read_references
 from sabench.dataset.schema import Contents, Manifest, RecordedManifest
@@ -180,7 +180,7 @@ class Dataset(StoredFrames):
     @cached_property
     def setup(self) -> CamerasFile:
         """Read the cameras, wall, grid and sensor levels that solvers receive."""
-        return read_cameras_file(self.root)
+        return read_cameras(self.root)
 
     @cached_property
     def true_cameras(self) -> tuple[Camera, ...]:

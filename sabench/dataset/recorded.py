@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sabench.dataset import schema
-from sabench.dataset.cameras import wall_entry, write_cameras_file
+from sabench.dataset.cameras import wall_entry, write_cameras
 from sabench.dataset.schema import (
     FORMAT,
     REFERENCES,
@@ -155,7 +155,7 @@ class RecordedWriter:
 
     def set_cameras(self, cameras: Sequence[CameraModel], **keys: Any) -> None:
         """Store the cameras with their walls, and the further keys of cameras.json."""
-        write_cameras_file(self.root / schema.CAMERAS, cameras, wall=wall_entry(cameras), **keys)
+        write_cameras(self.root / schema.CAMERAS, cameras, wall=wall_entry(cameras), **keys)
 
     def _write(self, name: str, image: U16) -> None:
         path = self.root / name

@@ -10,7 +10,7 @@ from sabench.dataset.cameras import (
     behind,
     check_walls,
     wall_entry,
-    write_cameras_file as write_file,
+    write_cameras as write_file,
 )
 from sabench.dataset.schema import CAMERAS
 from sabench.geometry.camera_model import CameraModel

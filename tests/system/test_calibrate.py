@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 
 import sabench
 from sabench.api import CalibrationCase
-from sabench.dataset.cameras import write_cameras_file
+from sabench.dataset.cameras import write_cameras
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Wall
 from sabench.scenes import Scene, build_rig, parse_scene
@@ -435,7 +435,7 @@ def test_a_folder_with_known_cameras_finds_its_wall(command: Command, tmp_path: 
     wall = {"point_mm": [0.0, 0.0, -4.0], "fluid_index": 1.333}
     wall |= {"layers": [{"index": 1.5, "thickness_mm": 8.0}]}
     write(folder, with_places(case, places), np.eye(3), **changes, wall=wall)
-    write_cameras_file(folder / "air.json", cameras)
+    write_cameras(folder / "air.json", cameras)
     done = succeed(command("calibrate", "mine"))
     assert "tilt of the wall about X" in done.stdout
     report = json.loads((folder / "result/report.json").read_text())

@@ -15,7 +15,7 @@ import tifffile
 
 import sabench
 from sabench.api import FoundParticles
-from sabench.dataset.cameras import write_cameras_file
+from sabench.dataset.cameras import write_cameras
 from sabench.dataset.copies import pack
 from sabench.dataset.import_recording import ImportOptions, import_recording
 from sabench.dataset.reader import Dataset, open_dataset
@@ -143,7 +143,7 @@ def test_cameras_of_any_model(original: Dataset, pngs: Path, tmp_path: Path) -> 
     middle = np.asarray(grid.low_mm) + 0.5 * np.asarray(grid.voxel_mm) * grid.shape[::-1]
     points = middle + 1.2 * (lattice_of(grid, 7) - middle)
     other = models(original.setup.cameras, points)
-    write_cameras_file(tmp_path / "cameras.json", other)
+    write_cameras(tmp_path / "cameras.json", other)
     source = read_camera_source(tmp_path / "cameras.json")
     assert list(source.cameras) == other
     import_recording(pngs, source.cameras, tmp_path / "tank", exact_options(original), grid)

@@ -118,9 +118,9 @@ def test_damaged_walls_are_named(tmp_path: Path) -> None:
         [dataclasses.asdict(round_wall) | {"axis": [1.0, 1.0, 0.0]}] * 4,
         [dataclasses.asdict(round_wall) | {"outer_radius_mm": -1.0}] * 4,
     ):
-        camera_files.write_cameras_file(tmp_path / schema.CAMERAS, cameras, wall=walls, **keys)
+        camera_files.write_cameras(tmp_path / schema.CAMERAS, cameras, wall=walls, **keys)
         with refused("wall"):
-            camera_files.read_cameras_file(tmp_path)
+            camera_files.read_cameras(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["cylinder-tank", "two-faces"])

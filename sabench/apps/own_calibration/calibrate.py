@@ -18,7 +18,7 @@ from sabench.api.make import make_algorithm
 from sabench.apps.own_calibration.folder import Recording, read_case
 from sabench.apps.own_calibration.held_out import has_places, hold_out, solve_case
 from sabench.apps.own_calibration.report import CalibrationReport, report_on
-from sabench.dataset.cameras import wall_entry, write_cameras_file
+from sabench.dataset.cameras import wall_entry, write_cameras
 from sabench.dataset.schema import CAMERAS
 from sabench.geometry.camera import Camera
 from sabench.plotting import pictures
@@ -68,7 +68,7 @@ def calibrate(
         raise InputError(f"solver {solver}: {error}") from error
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
-        write_cameras_file(partial / CAMERAS, answer.cameras, wall=wall_entry(answer.cameras))
+        write_cameras(partial / CAMERAS, answer.cameras, wall=wall_entry(answer.cameras))
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
         _write_places(partial / "target.csv", recording, points)
         # draw the residuals over the images, for each camera with cell means

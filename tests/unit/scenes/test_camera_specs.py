@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import sabench
-from sabench.dataset.cameras import read_cameras_file
+from sabench.dataset.cameras import read_cameras
 from sabench.geometry.lens import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.focusing import nominal_cameras
@@ -74,7 +74,7 @@ def test_data_sets_keep_the_tilt(tmp_path: Path) -> None:
     values["cameras"][2]["tilt_deg"] = [0.0, 95.0]
     path.write_text(json.dumps(values), encoding="utf-8")
     with refused("cameras.json: cameras.2.tilt_deg.1"):
-        read_cameras_file(made.root)
+        read_cameras(made.root)
 
 
 def test_nominal_tilts_are_off_by_the_scene_s_error() -> None:
