@@ -15,12 +15,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from sabench.geometry.path_slope import solve_slope
 
 from sabench.geometry import projection_kernels
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.lens import Distortion
-from sabench.geometry.refraction import Layer, Wall, trace_to_points
+from sabench.geometry.refraction import Layer, Wall, solve_slope, trace_to_points
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.progress import progress_bar
