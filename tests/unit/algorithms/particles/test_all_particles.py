@@ -63,6 +63,7 @@ def test_passes_give_what_one_thread_gives(maps: Maps) -> None:
     assert_allclose(misses, sums, rtol=1e-9, atol=1e-9 * np.abs(sums).max())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(MOST < 2, reason="one core")
 def test_threads_change_nothing(maps: Maps) -> None:
     many = outcome(maps)

@@ -34,6 +34,7 @@ def logs_of(images: F64) -> F32:
     return np.asarray(logs, dtype=np.float32)
 
 
+@pytest.mark.slow
 def test_every_lone_particle_is_a_candidate(maps: Maps) -> None:
     points = 0.9 * unit_points(20)
     images = paint(maps, points, np.full((20, 4), TYPICAL), ROWS, COLUMNS)

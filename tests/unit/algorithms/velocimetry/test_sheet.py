@@ -89,6 +89,7 @@ def test_a_rotation_is_recovered_in_any_plane(camera: Camera, normal: F64) -> No
     assert np.median(spin) == pytest.approx(2.0 * np.sin(0.05) / INTERVAL_S, rel=0.02)
 
 
+@pytest.mark.slow
 def test_without_its_wall_a_camera_shows_another_scale(camera: Camera) -> None:
     case = image_pair((camera,), uniform(0.14, 0.0, 0.0))
     bare = replace(camera, wall=None)
