@@ -1,7 +1,7 @@
 """Polynomials that replace cameras in a box: fast to evaluate, with derivatives.
 
 They are fitted to the exact projection (`camera.project`, the reference) and differ from it
-by less than `TOLERANCE_PX`; tests/unit/test_self_calibration.py measures the difference.
+by less than `TOLERANCE_PX`; tests/unit/geometry/test_volume_polynomials.py measures the difference.
 """
 
 import itertools

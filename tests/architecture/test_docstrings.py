@@ -1,6 +1,7 @@
-"""The first lines of docstrings: short sentences that open with a verb or a noun."""
+"""First lines of docstrings are short sentences with a head; files that texts name exist."""
 
 import ast
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -63,3 +64,17 @@ def test_a_bad_first_line_is_found(first: str, fault: str | None) -> None:
 def test_docstrings_of_modules_classes_and_functions_are_read() -> None:
     source = '"""A."""\nclass B:\n    """B.\n\n    More."""\n    async def c(self):\n        "C."\n'
     assert sorted(docstrings(source)) == [(1, "A."), (3, "B."), (7, "C.")]
+
+
+def test_files_that_sources_and_docs_name_exist() -> None:
+    """Templates, and `tests/test_*.py`, are of the user's project."""
+    files = [file for kind in ("py", "md") for file in ROOT.rglob(f"[!.]*.{kind}")]
+    named = re.compile(r"(?<![\w./-])(?:sabench|tests/\w+|reproduction|benchmarks)/[\w/]+\.py\b")
+    missing = {
+        (file.relative_to(ROOT).as_posix(), name)
+        for file in files
+        if not {".venv", "build", "templates"} & set(file.relative_to(ROOT).parts)
+        for name in named.findall(file.read_text(encoding="utf-8"))
+        if not (ROOT / name).exists()
+    }
+    assert not missing

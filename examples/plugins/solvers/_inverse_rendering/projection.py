@@ -1,9 +1,9 @@
 """Cameras whose projection Dr.Jit differentiates, exact through plane walls.
 
 A copy of `camera.project` on Dr.Jit arrays in double precision; tied to it by
-tests/unit/algorithms/particles/test_differentiable_images.py.
+tests/system/test_inverse_rendering.py.
 
-The path through the wall has one unknown, which Newton's method solves for (`path_slope`).
+The path through the wall has one unknown, which Newton's method solves for (as in `refraction`).
 Derivatives do not run through the iteration: one further step from the solution, whose start and
 slope are constants, has the derivatives of the implicit function.
 """
