@@ -18,7 +18,8 @@ import pytest
 from sabench.utils.errors import InputError
 
 SNAPSHOT = Path(__file__).resolve().parents[1] / "sentences.json"
-_FOLDER = re.compile(r"(?:/[\w.@+-]+)+/")
+# any folder, or the last name of pytest's own, which a second run numbers anew
+_FOLDER = re.compile(r"(?:/[\w.@+-]+)+/(?:test_\w+\d\b(?!\.))?")
 _NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _sentences: dict[str, list[str]] = (
     json.loads(SNAPSHOT.read_text(encoding="utf-8")) if SNAPSHOT.exists() else {}
