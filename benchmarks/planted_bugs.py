@@ -88,8 +88,8 @@ BUGS = (
     Bug(
         "SMART's relaxation left out",
         "sabench/algorithms/tomography/art_updates.py",
-        "multiply(state.values, exponents, np.float32(relaxation))",
-        "multiply(state.values, exponents, np.float32(1.0))",
+        "\n    on_cores(multiply, len(exponents), state.values, exponents, np.float32(relaxation))",
+        "\n    on_cores(multiply, len(exponents), state.values, exponents, np.float32(1.0))",
         case="particles",
     ),
     Bug(

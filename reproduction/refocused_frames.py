@@ -34,6 +34,7 @@ from sabench.scenes import Scene
 from sabench.simulation.in_memory import Shot
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 from .common import make_row, simulate_frame
 
@@ -208,9 +209,8 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
         axis=1,
     )
     volume = np.empty(space.shape, dtype=np.float32)
-    cpu_kernels.sum_planes(
-        mapped, LINEAR, shift_maps(space, shifts.round(6) - slab.corners), 0.0, volume
-    )
+    maps = shift_maps(space, shifts.round(6) - slab.corners)
+    on_cores(cpu_kernels.sum_planes, len(maps), mapped, LINEAR, maps, 0.0, volume)
     volume /= np.float32(len(cameras))
     position = shot.particles.position_mm
     carried = np.column_stack(
@@ -293,7 +293,7 @@ def quality_of_k(
         np.float32
     )  # single precision, as in `extract`
     sums = np.zeros((len(means), len(ks) + 1, 6))
-    _sum_between(volume[scored], synthesised[scored], thresholds, sums)
+    on_cores(_sum_between, len(sums), volume[scored], synthesised[scored], thresholds, sums)
     count, light, square, truth, product, _ = np.moveaxis(
         np.cumsum(sums[:, :0:-1], axis=1)[:, ::-1], 2, 0
     )
@@ -318,8 +318,8 @@ def best_k(
     return float(_KS[q.argmax()]), float(q.max())
 
 
-@numba.njit(cache=True, parallel=True)
-def _sum_between(volume: Any, synthesised: Any, thresholds: Any, sums: Any) -> None:
+@numba.njit(cache=True, nogil=True)
+def _sum_between(jobs: slice, volume: Any, synthesised: Any, thresholds: Any, sums: Any) -> None:
     """Sum over the voxels above exactly i thresholds of their plane.
 
     sums[plane, i] is their number, and the sums of E, E^2, E_s, E E_s and E_s^2 over them.
@@ -327,7 +327,7 @@ def _sum_between(volume: Any, synthesised: Any, thresholds: Any, sums: Any) -> N
     Of voxels above none, which are most, only the last sum is taken: nothing else of theirs enters
     Q.
     """
-    for plane in numba.prange(len(volume)):
+    for plane in range(jobs.start, jobs.stop):
         lowest, last = thresholds[plane, 0], thresholds.shape[1]
         scale = (last - 1) / max(thresholds[plane, last - 1] - lowest, _FLAT)
         for row in range(volume.shape[1]):

@@ -135,7 +135,7 @@ def _aim(
     """
     at, along, moved, turned = rays[0], rays[1], rays[2:4], rays[4:6]
     at[0], at[1], at[2] = -gap, 0.0, 0.0
-    along[:] = start
+    along[0], along[1], along[2] = start[0], start[1], start[2]
     moved[:] = 0.0
     flat = math.hypot(start[0], start[1])  # two unit vectors across the ray, right-handed
     turned[0, 0], turned[0, 1], turned[0, 2] = -start[1] / flat, start[0] / flat, 0.0

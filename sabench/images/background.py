@@ -16,6 +16,7 @@ from sabench.images.flaws import Flaws
 from sabench.images.widths import measure_images, noise_below_black
 from sabench.utils.arrays import F32, I64, Bool
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
 _BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles
@@ -84,7 +85,7 @@ def estimate_background(image: F32, valid: Bool) -> F32 | None:
     rows, columns = (max(size // _TILE, 1) for size in image.shape)
     tiles = _ends(image.shape[0], rows), _ends(image.shape[1], columns)
     modes = np.full((rows * columns, 4), np.nan)
-    _measure_modes(image, valid, *tiles, modes)
+    on_cores(_measure_modes, len(modes), image, valid, *tiles, modes)
     levels, scatter, skew, black = modes.T
     bright = float(np.percentile(image[valid], _BRIGHT)) if valid.any() else 0.0
     clear = scatter < _DENSE * bright
@@ -199,14 +200,16 @@ def _ends(size: int, tiles: int) -> I64:
     return np.arange(tiles + 1) * size // tiles
 
 
-@numba.njit(cache=True, parallel=True)
-def _measure_modes(image: Any, valid: Any, downs: Any, acrosses: Any, modes: Any) -> None:
+@numba.njit(cache=True, nogil=True)
+def _measure_modes(
+    jobs: slice, image: Any, valid: Any, downs: Any, acrosses: Any, modes: Any
+) -> None:
     """Fill in each tile's mode, scatter and skew after clipping, and share of black.
 
     Tiles of few values keep what they have in the first three, those without any in all.
     """
     columns = len(acrosses) - 1
-    for tile in numba.prange(len(modes)):
+    for tile in range(jobs.start, jobs.stop):
         down, across = tile // columns, tile % columns
         top, bottom = downs[down], downs[down + 1]
         left, right = acrosses[across], acrosses[across + 1]

@@ -25,6 +25,7 @@ from sabench.api import Observation
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 WINDOW = 7  # voxels: l_x = l_y
 STACK = 50  # planes of a minimum image
@@ -55,14 +56,14 @@ def compute_potential(volume: F32, step: int, flat: float = _FLAT) -> F32:
     """
     rows, columns = (max(1, (size - WINDOW) // step + 1) for size in volume.shape[1:])
     out = np.zeros((volume.shape[0], rows, columns), dtype=np.float32)
-    _potential(volume, step, flat, out)
+    on_cores(_potential, out.shape[1] * out.shape[2], volume, step, flat, out)
     return out
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _potential(jobs: slice, volume: Any, step: int, flat: float, out: Any) -> None:
     planes, height, width = volume.shape
-    for window in numba.prange(out.shape[1] * out.shape[2]):
+    for window in range(jobs.start, jobs.stop):
         i, j = window // out.shape[2], window % out.shape[2]
         top, left = i * step, j * step
         bottom, right = min(top + WINDOW, height), min(left + WINDOW, width)

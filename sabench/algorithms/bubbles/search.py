@@ -23,6 +23,7 @@ from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F32, F64, triple
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
+from sabench.utils.threads import on_cores
 
 
 def viewing_axes(cameras: Sequence[Camera]) -> F64:
@@ -152,7 +153,8 @@ def _along_lines(
         pixels, valid = camera.project(points)
         good = valid & camera.contains(pixels)
         size = radius.ravel() / _INWARD * px_per_mm(camera, points)
-        _sample(smoothed, view.map_pixels(pixels), good, size, first, step, out.reshape(-1))
+        places, votes = view.map_pixels(pixels), out.reshape(-1)
+        on_cores(_sample, len(votes), smoothed, places, good, size, first, step, votes)
     low, high = np.asarray(grid.low_mm), np.array([axis[-1] for axis in grid.axes_mm])
     across = positions[..., :2]
     inside = ((across >= low[:2] - 1.0) & (across <= high[:2] + 1.0)).all(axis=-1)
@@ -183,13 +185,13 @@ def _average_agreeing(total: F32) -> F32:
     return np.where(count >= 2, mean, 0.0).astype(np.float32)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sample(
-    maps: Any, pixels: Any, good: Any, size: Any, first: float, step: float, out: Any
+    jobs: slice, maps: Any, pixels: Any, good: Any, size: Any, first: float, step: float, out: Any
 ) -> None:
     """Sample votes at the nearest pixels, linearly over the radius."""
     count, rows, columns = maps.shape
-    for n in numba.prange(len(out)):
+    for n in range(jobs.start, jobs.stop):
         if not good[n]:
             continue
         column, row = int(np.floor(pixels[n, 0] + 0.5)), int(np.floor(pixels[n, 1] + 0.5))

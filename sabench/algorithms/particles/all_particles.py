@@ -24,6 +24,7 @@ from sabench.algorithms.particles.image_model import (
     ImageModel,
     ModelParticles,
     Room,
+    copy_row,
     fill_image,
     fill_slopes,
     make_room,
@@ -259,8 +260,8 @@ def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
     cameras = len(model.typical)
     for n in range(len(particles.position)):
         sum_up(model, room, particles.position[n], particles.light[n])
-        room.bend[:] = model.precision
         for c in range(cameras):
+            copy_row(model.precision[c], room.bend[c])
             room.bend[c, c] += particles.light[n, c] ** 2 * room.sums[c, WEIGHT]
         factorise_cholesky(room.bend)
         fill_inverse_diagonal(room.bend, room.pull, room.logs)

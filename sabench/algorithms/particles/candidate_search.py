@@ -27,6 +27,7 @@ from sabench.geometry.volume_polynomials import (
 )
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
 _NARROWEST, _ANY = 0.4, 1e-3  # px: widths of images that a lattice of pixels' steps does not miss
@@ -132,7 +133,7 @@ def find_candidates(
     bounds = np.zeros_like(logs)
     limits = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
     _bound(logs, limits[2], bounds)
-    _sweep(maps, logs, bounds, *limits, dark, means)
+    on_cores(_sweep, len(means), maps, logs, bounds, *limits, dark, means)
     # points that exceed their 26 neighbours: counted, then listed
     maxima = np.zeros((_mark_maxima(means, np.zeros((0, 3), dtype=np.int64)), 3), dtype=np.int64)
     _mark_maxima(means, maxima)
@@ -168,15 +169,23 @@ def _bound(logs: Any, most: Any, bounds: Any) -> None:
                 bounds[c, i, j] = most if unknown else max(max(a, b), max(d, e))
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def _sweep(
-    maps: Any, logs: Any, bounds: Any, floor: Any, spread: Any, most: Any, dark: int, means: Any
+    jobs: slice,
+    maps: Any,
+    logs: Any,
+    bounds: Any,
+    floor: Any,
+    spread: Any,
+    most: Any,
+    dark: int,
+    means: Any,
 ) -> None:
     """Fill in mean logarithms (z, y, x), `_DARK` if the bounds or means are low."""
     slices, rows, columns = means.shape
     cameras, last_row, last_column = len(logs), logs.shape[1] - 1.0, logs.shape[2] - 1.0
     least = floor - spread
-    for z in numba.prange(slices):
+    for z in range(jobs.start, jobs.stop):
         pixels = np.zeros((cameras, 2, columns))
         above = np.zeros(columns, dtype=np.float32)
         lacking = np.zeros(columns, dtype=np.int64)

@@ -110,6 +110,13 @@ class ImageModel(NamedTuple):
     log_rate: float
 
 
+@numba.njit(cache=True)
+def copy_row(source: Any, target: Any) -> None:
+    """Copy numbers (n,): assigning a part of an array takes two seconds to compile."""
+    for k in range(len(target)):
+        target[k] = source[k]
+
+
 class ModelParticles(NamedTuple):
     """Particles of a model.
 

@@ -23,6 +23,7 @@ from sabench.algorithms.particles.image_model import (
     YY,
     X,
     Y,
+    copy_row,
     look,
     paint_here,
     sum_up,
@@ -312,14 +313,14 @@ def fit_particle(model: Any, room: Any, particles: Any, n: int) -> float:
         look(model, room, room.trial, light)
         cost = best_light(model, room, room.light)
         if cost <= before:
-            position[:] = room.trial
+            copy_row(room.trial, position)
             lowered = True
     if not lowered:
         look(model, room, position, light)
         cost_of(model, room, light)  # the search starts from the present light
         cost = best_light(model, room, room.light)
     if cost <= before:
-        light[:] = room.light
+        copy_row(room.light, light)
     paint_here(model, room, light, -1.0)
     return float(min(cost - before, 0.0))
 

@@ -18,6 +18,7 @@ from sabench.algorithms.particles.image_model import (
     XX,
     ImageModel,
     ModelParticles,
+    copy_row,
     counting,
     fill_image,
     is_plain,
@@ -278,7 +279,7 @@ def add_shape_misses(
     image = np.zeros((room.window, room.window), dtype=np.float32)
     changes = np.zeros((SHAPES, room.window, room.window), dtype=np.float32)
     for n in rows:
-        terms[1:] = particles.position[n]
+        copy_row(particles.position[n], terms[1:])
         place_windows(model, room, particles.position[n])
         for c in range(len(model.typical)):
             column, row = room.corner[c, 0], room.corner[c, 1]

@@ -8,6 +8,7 @@ approximate the refracted lines of sight, and there are no pairs of candidate li
 known matches are triangulated by `geometry.triangulation`.
 """
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from sabench.algorithms.particles.joint_fit import solve_three
 from sabench.api import FoundParticles, Observation, Parameters
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
@@ -377,32 +379,25 @@ def _open(covered: Any, pixel: Any) -> bool:
 @numba.njit(cache=True)
 def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
     """Fit a position to the chosen images; returns the largest distance left, px."""
-    here, slope, matrix, right, worst = (
-        np.zeros(2),
-        np.zeros((2, 3)),
-        np.zeros((3, 3)),
-        np.zeros(3),
-        0.0,
-    )
+    here, slope, worst = np.zeros(2), np.zeros((2, 3)), 0.0
+    matrix, right, change = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for step in range(_STEPS + 1):
         matrix[:], right[:], worst = 0.0, 0.0, 0.0
         for c in range(len(peaks)):
             if chosen[c] < 0:
                 continue
             project_point(maps, c, position, here, slope)
-            miss = peaks[c].pixels[chosen[c]] - here
-            worst = max(worst, np.hypot(miss[0], miss[1]))
+            found = peaks[c].pixels[chosen[c]]
+            worst = max(worst, math.hypot(found[0] - here[0], found[1] - here[1]))
             for a in range(2):
                 for i in range(3):
-                    right[i] += slope[a, i] * miss[a]
+                    right[i] += slope[a, i] * (found[a] - here[a])
                     for j in range(3):
                         matrix[i, j] += slope[a, i] * slope[a, j]
-        if (
-            step == _STEPS
-            or np.linalg.det(matrix) <= 1e-9 * matrix[0, 0] * matrix[1, 1] * matrix[2, 2]
-        ):
+        if step == _STEPS or solve_three(matrix, right, change) <= 0.0:
             break
-        position += np.linalg.solve(matrix, right)
+        for i in range(3):
+            position[i] += change[i]
         if not _within(position, 1.5):
             return np.inf
     return worst
@@ -414,8 +409,9 @@ def _error(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
     for c in range(len(peaks)):
         if chosen[c] >= 0:
             project_point(maps, c, position, here, slope)
-            miss = peaks[c].pixels[chosen[c]] - here
-            total, count = total + miss[0] ** 2 + miss[1] ** 2, count + 1
+            found = peaks[c].pixels[chosen[c]]
+            total += (found[0] - here[0]) ** 2 + (found[1] - here[1]) ** 2
+            count += 1
     return float(np.sqrt(total / count))
 
 

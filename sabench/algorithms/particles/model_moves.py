@@ -24,6 +24,7 @@ from sabench.algorithms.particles.image_model import (
     PULL,
     UNSEEN,
     WEIGHT,
+    copy_row,
     counting,
     fill_image,
     look,
@@ -101,8 +102,7 @@ def remove_ghosts(
         first, last = starts[n], min(starts[n + 1], starts[n] + _NEIGHBOURS)
         neighbours = near[first:last]
         for k in range(len(neighbours)):
-            positions[k] = particles.position[neighbours[k]]
-            lights[k] = particles.light[neighbours[k]]
+            _keep(particles, neighbours[k], positions[k], lights[k])
         take_out(model, room, position, light)
         look(model, room, position, light)
         loss = -cost_of(model, room, light)
@@ -127,6 +127,18 @@ def remove_ghosts(
 
 
 @numba.njit(cache=True)
+def _keep(particles: Any, row: int, position: Any, light: Any) -> None:
+    copy_row(particles.position[row], position)
+    copy_row(particles.light[row], light)
+
+
+@numba.njit(cache=True)
+def _put(particles: Any, row: int, position: Any, light: Any) -> None:
+    copy_row(position, particles.position[row])
+    copy_row(light, particles.light[row])
+
+
+@numba.njit(cache=True)
 def _put_back(
     model: Any, room: Any, particles: Any, neighbours: Any, positions: Any, lights: Any
 ) -> None:
@@ -134,7 +146,7 @@ def _put_back(
         j = neighbours[k]
         if particles.alive[j]:
             take_out(model, room, particles.position[j], particles.light[j])
-            particles.position[j], particles.light[j] = positions[k], lights[k]
+            _put(particles, j, positions[k], lights[k])
             put_in(model, room, positions[k], lights[k])
 
 
@@ -329,17 +341,17 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
     )
     for n in order:
         count = spare[n]
-        middle[:], light[:] = particles.position[n], particles.light[n]
+        _keep(particles, n, middle, light)
         best = 0.0
         for s in range(len(steps)):
             cost = _try_split(model, room, particles, n, count, steps[s])
             if cost < best:
                 best = cost
-                places[0], places[1] = particles.position[n], particles.position[count]
-                lights[0], lights[1] = particles.light[n], particles.light[count]
+                _keep(particles, n, places[0], lights[0])
+                _keep(particles, count, places[1], lights[1])
             take_out(model, room, particles.position[n], particles.light[n])
             take_out(model, room, particles.position[count], particles.light[count])
-            particles.position[n], particles.light[n] = middle, light
+            _put(particles, n, middle, light)
             put_in(model, room, middle, light)
         if best < 0.0 and _are_apart(model, room, places):
             take_out(model, room, middle, light)
@@ -350,8 +362,8 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
                 penalty(model, room, places[1], lights[1]),
             )
             if best + larger < 0.0:
-                particles.position[n], particles.light[n] = places[0], lights[0]
-                particles.position[count], particles.light[count] = places[1], lights[1]
+                _put(particles, n, places[0], lights[0])
+                _put(particles, count, places[1], lights[1])
                 particles.alive[count] = True
             else:
                 for k in range(2):

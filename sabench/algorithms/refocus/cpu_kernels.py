@@ -270,8 +270,10 @@ def _add_log2(product: Any, total: Any) -> None:
         product[i] = 1.0
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
-def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any) -> None:
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def sum_planes(
+    jobs: slice, rectified: Any, spline: Any, maps: Any, outside: float, out: Any
+) -> None:
     """Sum all cameras' samples on plane k into out[k].
 
     Parameters
@@ -286,7 +288,7 @@ def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any)
     planes, rows, columns = out.shape
     across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
     value = np.float32(outside)
-    for tile in numba.prange(maps.shape[0]):
+    for tile in range(jobs.start, jobs.stop):
         top, left = tile // across * TILE_ROWS, tile % across * TILE_COLUMNS
         height, width = min(TILE_ROWS, rows - top), min(TILE_COLUMNS, columns - left)
         total = np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32)
@@ -308,9 +310,9 @@ def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any)
                     target[i] = total[row * TILE_COLUMNS + i]
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
+@numba.njit(cache=True, nogil=True, fastmath=True)
 def multiply_planes(
-    rectified: Any, maps: Any, outside: float, floor: float, largest: float, out: Any
+    jobs: slice, rectified: Any, maps: Any, outside: float, floor: float, largest: float, out: Any
 ) -> None:
     """Fill in out[k]: the sum over cameras of log2 of their samples on plane k.
 
@@ -323,7 +325,7 @@ def multiply_planes(
     across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
     value, smallest = max(np.float32(outside), np.float32(floor)), np.float32(floor)
     group = max(1, int(_DECADES / max(-math.log10(floor), math.log10(max(largest, 10.0)))))
-    for tile in numba.prange(maps.shape[0]):
+    for tile in range(jobs.start, jobs.stop):
         top, left = tile // across * TILE_ROWS, tile % across * TILE_COLUMNS
         height, width = min(TILE_ROWS, rows - top), min(TILE_COLUMNS, columns - left)
         product, total = (
@@ -351,8 +353,8 @@ def multiply_planes(
                     target[i] = total[row * TILE_COLUMNS + i]
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
-def sum_shifted(images: Any, shifts: Any, out: Any) -> None:
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def sum_shifted(jobs: slice, images: Any, shifts: Any, out: Any) -> None:
     """Sum all cameras' images, each shifted by whole pixels, into out[k].
 
     Pixels beyond an image are 0.
@@ -365,7 +367,7 @@ def sum_shifted(images: Any, shifts: Any, out: Any) -> None:
     out : (plane, rows, columns) float32, written.
     """
     planes, rows, columns = out.shape
-    for strip in numba.prange((rows + TILE_ROWS - 1) // TILE_ROWS):
+    for strip in range(jobs.start, jobs.stop):
         for plane in range(planes):
             for row in range(strip * TILE_ROWS, min(strip * TILE_ROWS + TILE_ROWS, rows)):
                 target = out[plane, row]

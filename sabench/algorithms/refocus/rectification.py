@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sabench.utils.arrays import F32
+from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 # degrees of splines as lengths of tuples, which are part of their types: kernels are compiled for
 # each
@@ -30,16 +31,16 @@ def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
         return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
     count, rows, columns = images.shape
     padded: npt.NDArray[np.float32] = np.empty((count, rows + 3, columns + 3), dtype=np.float32)
-    _filter_along_rows(images, padded)
-    _filter_along_columns(padded)
+    on_cores(_filter_along_rows, count * -(-rows // _LINES), images, padded)
+    on_cores(_filter_along_columns, count * -(-(columns + 3) // _LINES), padded)
     return padded
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
-def _filter_along_rows(images: Any, padded: Any) -> None:
-    count, rows, columns = images.shape
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _filter_along_rows(jobs: slice, images: Any, padded: Any) -> None:
+    _, rows, columns = images.shape
     strips = (rows + _LINES - 1) // _LINES
-    for job in numba.prange(count * strips):
+    for job in range(jobs.start, jobs.stop):
         image, first = job // strips, job % strips * _LINES
         lines = np.empty((columns, min(_LINES, rows - first)), dtype=np.float32)
         for i in range(lines.shape[1]):
@@ -53,11 +54,11 @@ def _filter_along_rows(images: Any, padded: Any) -> None:
             row[0], row[columns + 1], row[columns + 2] = row[2], row[columns - 1], row[columns - 2]
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
-def _filter_along_columns(padded: Any) -> None:
-    count, rows, columns = padded.shape
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _filter_along_columns(jobs: slice, padded: Any) -> None:
+    _, rows, columns = padded.shape
     strips = (columns + _LINES - 1) // _LINES
-    for job in numba.prange(count * strips):
+    for job in range(jobs.start, jobs.stop):
         image, first = padded[job // strips], job % strips * _LINES
         strip = image[:, first : first + _LINES]
         _filter(strip[1:-2])
@@ -93,9 +94,8 @@ def _filter(lines: Any) -> None:
             now[i] = pole * (after[i] - now[i])
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
 def resample(
-    coefficients: Any, spline: Any, maps: Any, degree: int, outside: float, out: Any
+    coefficients: F32, spline: tuple[int, ...], maps: F64, degree: int, outside: float, out: F32
 ) -> None:
     """Evaluate each image's spline at its mapped positions.
 
@@ -110,8 +110,16 @@ def resample(
     out : (n, height, width), written; never below zero, where a spline would undershoot next to
         bright pixels.
     """
-    count, height, width = out.shape
-    for job in numba.prange(count * height):
+    rows = math.prod(out.shape[:2])
+    on_cores(_resample, rows, coefficients, spline, maps, degree, outside, out)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _resample(
+    jobs: slice, coefficients: Any, spline: Any, maps: Any, degree: int, outside: float, out: Any
+) -> None:
+    _, height, width = out.shape
+    for job in range(jobs.start, jobs.stop):
         number, line = job // height, job % height
         v = 2.0 * line / max(height - 1, 1) - (1.0 if height > 1 else 0.0)
         column = _along_row(maps[number, 0], degree, v)

@@ -25,6 +25,7 @@ from sabench.utils import backend
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
+from sabench.utils.threads import on_cores
 
 _GPU_PLANES = 1 << 24  # voxels computed simultaneously: bounds the device's memory
 # (drjit, one array of samples per camera) -> the plane's voxels
@@ -71,13 +72,14 @@ def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, o
             ]
             samples.append(_sample(dr, types, image, slab.shape, position, outside))
         folded = np.asarray(fold(dr, samples))
-        _keep(folded.reshape(-1, width), part.reshape(-1, width))
+        lines = part.reshape(-1, width)
+        on_cores(_keep, len(lines), folded.reshape(-1, width), lines)
 
 
-@numba.njit(parallel=True, cache=True)
-def _keep(values: Any, out: Any) -> None:  # pragma: no cover
+@numba.njit(cache=True, nogil=True)
+def _keep(jobs: slice, values: Any, out: Any) -> None:  # pragma: no cover
     """Copy rows with all cores: one core takes longer for a volume than the device."""
-    for row in numba.prange(len(out)):
+    for row in range(jobs.start, jobs.stop):
         for column in range(out.shape[1]):
             out[row, column] = values[row, column]
 
@@ -136,7 +138,8 @@ def refocus_sum(
         if _on_device():
             _sum_planes(rectified, view.slab, grid, outside, part)
         else:
-            cpu_kernels.sum_planes(rectified, LINEAR, view.tiles, outside, part)
+            tiles = view.tiles
+            on_cores(cpu_kernels.sum_planes, len(tiles), rectified, LINEAR, tiles, outside, part)
     return volume
 
 
@@ -175,7 +178,8 @@ def refocus_log2(
         if _on_device():
             _multiply_planes(rectified, view.slab, grid, outside, floor, part)
         else:
-            cpu_kernels.multiply_planes(rectified, view.tiles, outside, floor, 2.0 * largest, part)
+            tiles, limits = view.tiles, (outside, floor, 2.0 * largest)
+            on_cores(cpu_kernels.multiply_planes, len(tiles), rectified, tiles, *limits, part)
     return volume
 
 
@@ -207,10 +211,12 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
     focused = np.empty((_AT_ONCE, *shape), dtype=np.float32)
     for first in progress_bar(range(0, grid.shape[0], _AT_ONCE), f"shift {len(cameras)} cameras"):
         some = whole[first : first + _AT_ONCE]
-        cpu_kernels.sum_shifted(coefficients, some, focused[: grid.shape[0] - first])
+        target = focused[: grid.shape[0] - first]
+        on_cores(cpu_kernels.sum_shifted, -(-shape[0] // TILE_ROWS), coefficients, some, target)
         for plane, image in enumerate(focused[: len(some)], first):
             affine = np.ascontiguousarray(maps[:, plane : plane + 1])  # one type, one compilation
-            cpu_kernels.sum_planes(image[None], CUBIC, affine, 0.0, volume[plane : plane + 1])
+            out = volume[plane : plane + 1]
+            on_cores(cpu_kernels.sum_planes, len(affine), image[None], CUBIC, affine, 0.0, out)
     return volume
 
 

@@ -10,6 +10,7 @@ from sabench.api import Observation, Parameters
 from sabench.images.gaussians import effective_width
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 # of the particles' occupancy that a field should have: tuned on seeds 101 and 102
 _SHARE = {"reduced": 0.85, "whole": 0.65}
@@ -52,7 +53,8 @@ def extract(volume: F32, k: float, keep: Keep) -> F32:
     """
     means, spreads = plane_statistics(volume)
     thresholds = (means + k * spreads).astype(np.float32)
-    _cut(volume, thresholds, thresholds if keep == "reduced" else np.zeros_like(thresholds))
+    bases = thresholds if keep == "reduced" else np.zeros_like(thresholds)
+    on_cores(_cut, len(volume), volume, thresholds, bases)
     return volume
 
 
@@ -120,7 +122,8 @@ def auto_k(volume: F32, share: float, keep: Keep) -> float:
     """
     means, spreads = plane_statistics(volume)
     sums = np.zeros((len(volume), _BINS, 3))
-    _sum_bins(volume, means, 1.0 / (_STEP * np.maximum(spreads, _FLAT)), sums)
+    scales = 1.0 / (_STEP * np.maximum(spreads, _FLAT))
+    on_cores(_sum_bins, len(volume), volume, means, scales, sums)
     # of all that lies above each level
     count, light, square = np.moveaxis(np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0)
     levels = _STEP * np.arange(_BINS)
@@ -134,14 +137,14 @@ def auto_k(volume: F32, share: float, keep: Keep) -> float:
 def plane_statistics(volume: F32) -> tuple[F64, F64]:
     """Compute mean and standard deviation of every plane."""
     sums = np.zeros((len(volume), 2))
-    _sum_squares(volume, sums)
+    on_cores(_sum_squares, len(volume), volume, sums)
     means = sums[:, 0] / volume[0].size
     return means, np.sqrt(np.maximum(sums[:, 1] / volume[0].size - means**2, 0.0))
 
 
-@numba.njit(cache=True, parallel=True)
-def _sum_squares(volume: Any, sums: Any) -> None:
-    for plane in numba.prange(len(volume)):
+@numba.njit(cache=True, nogil=True)
+def _sum_squares(jobs: slice, volume: Any, sums: Any) -> None:
+    for plane in range(jobs.start, jobs.stop):
         for row in volume[plane]:
             light = square = 0.0
             for value in row:
@@ -152,22 +155,22 @@ def _sum_squares(volume: Any, sums: Any) -> None:
             sums[plane, 1] += square
 
 
-@numba.njit(cache=True, parallel=True)
-def _cut(volume: Any, thresholds: Any, bases: Any) -> None:
-    for plane in numba.prange(len(volume)):
+@numba.njit(cache=True, nogil=True)
+def _cut(jobs: slice, volume: Any, thresholds: Any, bases: Any) -> None:
+    for plane in range(jobs.start, jobs.stop):
         for row in volume[plane]:
             for i in range(len(row)):
                 row[i] = row[i] - bases[plane] if row[i] > thresholds[plane] else np.float32(0.0)
 
 
-@numba.njit(cache=True, parallel=True)
-def _sum_bins(volume: Any, means: Any, scales: Any, sums: Any) -> None:
+@numba.njit(cache=True, nogil=True)
+def _sum_bins(jobs: slice, volume: Any, means: Any, scales: Any, sums: Any) -> None:
     """Fill in sums[plane, i]: number, sum and sum of squares of voxels in bins of k.
 
     Bin i begins i steps of k above the mean; the last bin holds all above.
     """
     last = sums.shape[1] - 1
-    for plane in numba.prange(len(volume)):
+    for plane in range(jobs.start, jobs.stop):
         for row in volume[plane]:
             for value in row:
                 if value > means[plane]:

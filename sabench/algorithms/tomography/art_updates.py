@@ -26,6 +26,7 @@ from sabench.algorithms.tomography.projection_operator import ProjectionOperator
 from sabench.utils.arrays import F32, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
+from sabench.utils.threads import on_cores
 
 # rows of pixels, more than a footprint has: every other strip shares no voxel with this one
 STRIP = 16
@@ -83,24 +84,29 @@ def mart_sweep(
     # sorted by counting, stable and in parallel
     slots = np.zeros((_PARTS, geometry.rows * geometry.columns), dtype=np.int32)
     first = np.empty(geometry.rows * geometry.columns + 1, dtype=np.int64)
-    _count(geometry, camera, parts, support.start, support.x, slots)
+    voxels = parts, support.start, support.x
+    on_cores(_count, _PARTS, geometry, camera, *voxels, slots)
     _number(slots, first)
     entries = int(first[-1])
     voxel = np.empty(entries, dtype=np.int32)
     across, down, light = (np.empty(entries, dtype=np.float32) for _ in range(3))
     spread, taps = np.float32(lines.footprint.spread), 2 + 2 * geometry.margin
     buckets = Buckets(spread, taps, geometry.columns, first, voxel, across, down, light)
-    _fill(geometry, camera, parts, support.start, support.x, values, slots, buckets)
+    on_cores(_fill, _PARTS, geometry, camera, *voxels, values, slots, buckets)
     missed = np.zeros(math.ceil(len(image) / STRIP))
-    _sweep(buckets, image, saturated, np.float32(relaxation), missed)
-    _put_back(buckets.voxel, buckets.light, values)
+    for odd in range(2):
+        strips = (len(missed) - odd + 1) // 2
+        on_cores(_sweep, strips, odd, buckets, image, saturated, np.float32(relaxation), missed)
+    on_cores(_put_back, entries, buckets.voxel, buckets.light, values)
     return float(missed.sum())
 
 
-@numba.njit(cache=True, parallel=True)
-def _count(geometry: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any) -> None:
+@numba.njit(cache=True, nogil=True)
+def _count(
+    jobs: slice, geometry: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any
+) -> None:
     """Count the voxels of every part on every pixel into zero slots (part, pixel)."""
-    for part in numba.prange(len(parts) - 1):
+    for part in range(jobs.start, jobs.stop):
         work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
         for row in range(parts[part], parts[part + 1]):
             base, _, _ = locate(geometry, camera, row, x[start[row] : start[row + 1]], work)
@@ -122,8 +128,9 @@ def _number(slots: Any, first: Any) -> None:
     first[-1] = total
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def _fill(
+    jobs: slice,
     geometry: Any,
     camera: int,
     parts: Any,
@@ -133,7 +140,7 @@ def _fill(
     slots: Any,
     buckets: Any,
 ) -> None:
-    for part in numba.prange(len(parts) - 1):
+    for part in range(jobs.start, jobs.stop):
         _fill_part(
             geometry, camera, parts[part], parts[part + 1], start, x, values, slots[part], buckets
         )
@@ -169,23 +176,20 @@ def _fill_part(
                 buckets.light[slot] = values[start[row] + i]
 
 
-@numba.njit(cache=True, parallel=True)
-def _put_back(voxel: Any, light: Any, values: Any) -> None:
-    for k in numba.prange(len(voxel)):
+@numba.njit(cache=True, nogil=True)
+def _put_back(jobs: slice, voxel: Any, light: Any, values: Any) -> None:
+    for k in range(jobs.start, jobs.stop):
         values[voxel[k]] = light[k]
 
 
-@numba.njit(cache=True, parallel=True)
-def _sweep(buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: Any) -> None:
-    """Update by all pixels of one camera; sum squared residuals into `missed`.
-
-    `missed` has the shape (strip,).
-    """
-    for parity in range(2):
-        for pair in numba.prange((len(missed) - parity + 1) // 2):
-            missed[2 * pair + parity] = _sweep_strip(
-                buckets, image, saturated, relaxation, 2 * pair + parity
-            )
+@numba.njit(cache=True, nogil=True)
+def _sweep(
+    jobs: slice, odd: int, buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: Any
+) -> None:
+    """Update by every other strip; sum squared residuals into `missed` (strip,)."""
+    for pair in range(jobs.start, jobs.stop):
+        strip = 2 * pair + odd
+        missed[strip] = _sweep_strip(buckets, image, saturated, relaxation, strip)
 
 
 @numba.njit(cache=True)
@@ -341,13 +345,13 @@ class RecordedLight:
         rows = projection.shape[0] * projection.shape[1]
         squares = np.empty(rows)
         arrays = self.light, self.saturated, projection
-        kernel(*(array.reshape(rows, -1) for array in arrays), squares)
+        on_cores(kernel, rows, *(array.reshape(rows, -1) for array in arrays), squares)
         return float(squares.sum())
 
 
-@numba.njit(cache=True, parallel=True)
-def _missing(light: Any, saturated: Any, projection: Any, squares: Any) -> None:
-    for row in numba.prange(len(light)):
+@numba.njit(cache=True, nogil=True)
+def _missing(jobs: slice, light: Any, saturated: Any, projection: Any, squares: Any) -> None:
+    for row in range(jobs.start, jobs.stop):
         total = 0.0
         for i in range(light.shape[1]):
             missing = light[row, i] - projection[row, i]
@@ -358,9 +362,9 @@ def _missing(light: Any, saturated: Any, projection: Any, squares: Any) -> None:
         squares[row] = total
 
 
-@numba.njit(cache=True, parallel=True)
-def _log_ratio(light: Any, saturated: Any, projection: Any, squares: Any) -> None:
-    for row in numba.prange(len(light)):
+@numba.njit(cache=True, nogil=True)
+def _log_ratio(jobs: slice, light: Any, saturated: Any, projection: Any, squares: Any) -> None:
+    for row in range(jobs.start, jobs.stop):
         total = 0.0
         for i in range(light.shape[1]):
             cast = max(projection[row, i], np.float32(_NOTHING))
@@ -382,7 +386,7 @@ def smart(state: Iterate, measured: RecordedLight, relaxation: float) -> float:
     missed = measured.log_ratio(images)
     exponents = state.lines.adjoint(images)
     exponents /= state.seen
-    multiply(state.values, exponents, np.float32(relaxation))
+    on_cores(multiply, len(exponents), state.values, exponents, np.float32(relaxation))
     return missed
 
 
@@ -416,7 +420,8 @@ def block_mart(state: Iterate, measured: RecordedLight, relaxation: float) -> fl
         part = slice(camera, camera + 1)
         recorded = RecordedLight(measured.light[part], measured.saturated[part])
         missed += recorded.log_ratio(image)
-        multiply(state.values, state.lines.adjoint(image, [camera]), np.float32(relaxation))
+        exponents = state.lines.adjoint(image, [camera])
+        on_cores(multiply, len(exponents), state.values, exponents, np.float32(relaxation))
     return missed
 
 

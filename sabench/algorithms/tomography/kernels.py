@@ -166,9 +166,9 @@ def _scatter(value: Any, places: Any, columns: int, image: Any) -> None:
             image[below + np.uint32(1)] += right * under
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def project_volume(
-    geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any
+    jobs: slice, geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any
 ) -> None:
     """Project parts of a volume, each into an image of its own.
 
@@ -182,7 +182,7 @@ def project_volume(
     out : (n, part, rows * columns) float32, zero on entry.
     """
     count = len(parts) - 1
-    for task in numba.prange(len(cameras) * count):
+    for task in range(jobs.start, jobs.stop):
         number, part = task // count, task % count
         work = scratch(geometry)
         for row in range(parts[part], parts[part + 1]):
@@ -196,15 +196,15 @@ def project_volume(
                 )
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def back_project(
-    geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
+    jobs: slice, geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
 ) -> None:
     """Add images (n, rows * columns), interpolated bilinearly, to voxels.
 
     See `project`.
     """
-    for part in numba.prange(len(parts) - 1):
+    for part in range(jobs.start, jobs.stop):
         work = scratch(geometry)
         for number in range(len(cameras)):
             for row in range(parts[part], parts[part + 1]):
@@ -243,8 +243,8 @@ def exp2(exponent: Any) -> Any:
     return p * np.int32((whole + np.int32(127)) << 23).view(np.float32)
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
-def multiply(values: Any, exponents: Any, factor: Any) -> None:
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def multiply(jobs: slice, values: Any, exponents: Any, factor: Any) -> None:
     """Multiply values by 2^(factor * exponents), in place."""
-    for j in numba.prange(len(values)):
+    for j in range(jobs.start, jobs.stop):
         values[j] *= exp2(factor * exponents[j])

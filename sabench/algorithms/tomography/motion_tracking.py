@@ -7,6 +7,7 @@ differently from the fluid around them and fade.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +22,7 @@ from sabench.algorithms.velocimetry.deformation import deform, spline_coefficien
 from sabench.algorithms.velocimetry.multipass import Field
 from sabench.api import Observation
 from sabench.utils.arrays import F32, F64
+from sabench.utils.threads import on_cores
 
 _Place = tuple[float, float, float]
 _FIXED_POINT = 3  # steps from the middle of an interval to its ends; each gains a digit or more
@@ -102,7 +104,8 @@ class Displacement:
         direction : 1 moves the second volume to the time of the first, -1 the first to the second.
         """
         out, field = own.copy(), (self.at_end(0.5 * direction), self.origin, self.step)
-        deform(spline_coefficients(volume), *field, float(direction), out)
+        coefficients = spline_coefficients(volume)
+        on_cores(deform, math.prod(out.shape[:2]), coefficients, *field, float(direction), out)
         return out
 
 

@@ -20,6 +20,7 @@ from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, I64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
+from sabench.utils.threads import on_cores
 
 _SLAB = 8_000_000  # voxels that are allocated at a time
 # of voxels: one camera after the other is looked up, and its part of the image stays in the
@@ -74,27 +75,35 @@ def _slab(
     x = np.empty((rows, geometry.width), dtype=_index_type(geometry.width))
     values = np.empty(x.shape, dtype=np.float32)
     counts = np.empty(rows, dtype=np.int64)
-    _multiply_rows(geometry, images, threshold, first * geometry.height, x, values, counts)
+    limits = threshold, first * geometry.height
+    on_cores(_multiply_rows, -(-rows // _ROWS), geometry, images, *limits, x, values, counts)
     start = np.concatenate([[0], np.cumsum(counts)])
     packed = np.empty(start[-1], dtype=x.dtype), np.empty(start[-1], dtype=np.float32)
-    _pack(start, x, values, *packed)
+    on_cores(_pack, len(start) - 1, start, x, values, *packed)
     return counts, *packed
 
 
-@numba.njit(cache=True, parallel=True)
-def _pack(start: Any, x: Any, values: Any, packed_x: Any, packed_values: Any) -> None:
-    for row in numba.prange(len(start) - 1):
+@numba.njit(cache=True, nogil=True)
+def _pack(jobs: slice, start: Any, x: Any, values: Any, packed_x: Any, packed_values: Any) -> None:
+    for row in range(jobs.start, jobs.stop):
         for i in range(start[row + 1] - start[row]):
             packed_x[start[row] + i] = x[row, i]
             packed_values[start[row] + i] = values[row, i]
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def _multiply_rows(
-    geometry: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
+    jobs: slice,
+    geometry: Any,
+    images: Any,
+    threshold: float,
+    first: int,
+    x: Any,
+    values: Any,
+    counts: Any,
 ) -> None:
     """Multiply rows, move survivors to the beginning, and count them in every row."""
-    for block in numba.prange((len(x) + _ROWS - 1) // _ROWS):
+    for block in range(jobs.start, jobs.stop):
         top, end = block * _ROWS, min((block + 1) * _ROWS, len(x))
         _multiply_block(
             geometry, images, threshold, first + top, x[top:end], values[top:end], counts[top:end]

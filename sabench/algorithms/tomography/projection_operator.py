@@ -17,6 +17,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.plane_polynomials import plane_maps
 from sabench.utils.arrays import F32, I64
+from sabench.utils.threads import on_cores
 
 _BRIGHT = 0.3  # of a bright particle's peak: dimmer local maxima are not measured
 
@@ -173,9 +174,9 @@ class ProjectionOperator:
         parts = self.support.parts(max(1, _TASKS // len(chosen)))
         size = self.geometry.rows, self.geometry.columns
         images = np.zeros((len(chosen), len(parts) - 1, math.prod(size)), dtype=np.float32)
-        project_volume(
-            self.geometry, chosen, parts, self.support.start, self.support.x, values, images
-        )
+        voxels = self.support.start, self.support.x, values
+        jobs = len(chosen) * (len(parts) - 1)
+        on_cores(project_volume, jobs, self.geometry, chosen, parts, *voxels, images)
         return self.footprint.smooth(images.sum(axis=1).reshape(-1, *size))
 
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
@@ -187,7 +188,8 @@ class ProjectionOperator:
         chosen, support = self._numbers(cameras), self.support
         out = np.zeros(len(support), dtype=np.float32)
         parts = support.parts(len(out) // _BLOCK + 1)
-        back_project(self.geometry, chosen, parts, support.start, support.x, flat, out)
+        voxels = support.start, support.x
+        on_cores(back_project, len(parts) - 1, self.geometry, chosen, parts, *voxels, flat, out)
         return out
 
     def _numbers(self, cameras: Sequence[int] | None) -> I64:

@@ -5,6 +5,7 @@ more than about a pixel, voxels are split. In the result, each fine voxel is a b
 projects to the footprint, and the volume holds the light of all blobs in each voxel.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ from sabench.geometry.grid import Grid
 from sabench.images.gaussians import gaussian_shares
 from sabench.utils.arrays import F32, F64, triple
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
 _REACH = 3.0  # radius of a blob, standard deviations
@@ -89,7 +91,8 @@ def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: f
     """
     x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
     volume = np.zeros(grid.shape, dtype=np.float32)
-    _gather(support.start, support.x, values, support.shape[1], support.shape[2], x, y, z, volume)
+    fine = support.start, support.x, values, *support.shape[1:]
+    on_cores(_gather, math.prod(grid.shape[:2]), *fine, x, y, z, volume)
     return volume
 
 
@@ -109,8 +112,9 @@ def _profile(count: int, sigma: float) -> F32:
     return np.asarray(share / share.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def _gather(
+    jobs: slice,
     start: Any,
     x: Any,
     values: Any,
@@ -124,7 +128,7 @@ def _gather(
     """Sum fine rows within the radius, and spread the sum's fine voxels along x."""
     planes, rows, _ = volume.shape
     (count_y, width_y), (count_z, width_z) = along_y.shape, along_z.shape
-    for task in numba.prange(planes * rows):
+    for task in range(jobs.start, jobs.stop):
         plane, row = task // rows, task % rows
         total = np.zeros(width, dtype=np.float32)
         for a in range(width_z * count_z):

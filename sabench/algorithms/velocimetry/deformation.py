@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from sabench.utils.arrays import F32
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 _TERMS = 14  # of a geometric series that falls to a hundred-millionth: float32 holds no more
 
@@ -19,23 +21,30 @@ def _mirror(index: int, count: int) -> int:
     return min(index, 2 * count - 2 - index)
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
-def spline_coefficients(volume: Any) -> Any:
+def spline_coefficients(volume: F32) -> F32:
     """Compute coefficients of the cubic B-spline through voxels (z, y, x).
 
     Voxels are mirrored at faces. Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38,
     1999.
     """
-    out = volume.copy()
-    depth, height = out.shape[:2]
-    pole = np.float32(np.sqrt(3.0) - 2.0)
-    for z in numba.prange(depth):
-        for y in range(height):
+    out, pole = volume.copy(), np.float32(np.sqrt(3.0) - 2.0)
+    on_cores(_filter_planes, out.shape[0], out, pole)
+    on_cores(_filter_depths, out.shape[1], out, pole)
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _filter_planes(jobs: slice, out: Any, pole: Any) -> None:
+    for z in range(jobs.start, jobs.stop):
+        for y in range(out.shape[1]):
             _filter_line(out[z, y], pole)
         _filter_rows(out[z], pole)
-    for y in numba.prange(height):
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _filter_depths(jobs: slice, out: Any, pole: Any) -> None:
+    for y in range(jobs.start, jobs.stop):
         _filter_rows(out[:, y], pole)
-    return out
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -97,9 +106,9 @@ def _cubic(part: Any) -> Any:
     return outer, second, np.float32(1.0) - outer - second - inner, inner
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@numba.njit(cache=True, nogil=True, fastmath=True)
 def deform_pair(
-    first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any
+    jobs: slice, first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any
 ) -> None:
     """Fill in two volumes moved towards each other by half of a field each.
 
@@ -114,8 +123,8 @@ def deform_pair(
     origin, step : position (z, y, x) of the lattice's first node and its spacing, voxels.
     out, other : (z, y, x).
     """
-    depth, height, width = out.shape
-    for job in numba.prange(depth * height):
+    _, height, width = out.shape
+    for job in range(jobs.start, jobs.stop):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
         positions, corners = (
@@ -132,8 +141,10 @@ def deform_pair(
                 out[z, y, x] = other[z, y, x] = 0.0
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
-def deform(coefficients: Any, field: Any, origin: Any, step: Any, share: float, out: Any) -> None:
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def deform(
+    jobs: slice, coefficients: Any, field: Any, origin: Any, step: Any, share: float, out: Any
+) -> None:
     """Fill in a volume read at points a share of a field away from its voxels.
 
     Parameters
@@ -143,8 +154,8 @@ def deform(coefficients: Any, field: Any, origin: Any, step: Any, share: float, 
     share : of the field.
     out : (z, y, x). It keeps its values where the volume is read beyond its faces.
     """
-    depth, height, width = out.shape
-    for job in numba.prange(depth * height):
+    _, height, width = out.shape
+    for job in range(jobs.start, jobs.stop):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
         positions, corners = (

@@ -25,6 +25,7 @@ from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, Bool, triple
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
+from sabench.utils.threads import on_cores
 
 _FILLING_ROUNDS = 3.0  # standard deviations that a Gaussian reaches
 _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)
@@ -53,7 +54,7 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
     margin = [*((1 - before,) * 2 for before, _ in padding), (0, 0)]
     padded = np.pad(padded, margin, constant_values=np.nan)
     middle, spread = np.empty_like(shift), np.empty_like(shift)
-    medians(padded, middle, spread)
+    on_cores(medians, math.prod(middle.shape[:2]), padded, middle, spread)
     # never far, where there are no neighbours
     usual = np.linalg.norm(spread, axis=-1) + _FLOOR
     far = np.linalg.norm(shift - middle, axis=-1) > times * usual
@@ -111,8 +112,8 @@ def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
     return ok
 
 
-@numba.njit(cache=True, parallel=True)
-def medians(padded: Any, middle: Any, spread: Any) -> None:
+@numba.njit(cache=True, nogil=True)
+def medians(jobs: slice, padded: Any, middle: Any, spread: Any) -> None:
     """Fill in the medians of every vector's 26 neighbours, component by component.
 
     Also fills in the medians of these neighbours' distances from them.
@@ -123,8 +124,8 @@ def medians(padded: Any, middle: Any, spread: Any) -> None:
         medians are NaN.
     middle, spread : (z, y, x, 3).
     """
-    deep, high, wide = middle.shape[:3]
-    for job in numba.prange(deep * high):
+    _, high, wide = middle.shape[:3]
+    for job in range(jobs.start, jobs.stop):
         z, y = job // high, job % high
         values = np.empty(26)
         for x in range(wide):
@@ -277,7 +278,8 @@ def evaluate(first: F32, second: F32, plan: MultipassPlan) -> Field:
         z, y, x = (plan.smoothing * size / step for size, step in sizes)
         lead = smooth_vectors(field.shift, (z, y, x)) if plan.smoothing else field.shift
         lattice = field.windows.origin, tuple(float(part) for part in field.windows.step)
-        deform_pair(*coefficients, lead, *lattice, *warped)
+        rows = math.prod(first.shape[:2])
+        on_cores(deform_pair, rows, *coefficients, lead, *lattice, *warped)
         peaks = by_shifts(warped[0], warped[1], windows, plan.search, plan.taper)
         peaks.shift[:] += _at(lead, field.windows, windows)
         field = _validate(windows, peaks, peaks.height >= plan.height, plan)

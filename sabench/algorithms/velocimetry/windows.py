@@ -19,11 +19,12 @@ from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
+from sabench.utils.threads import on_cores
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@numba.njit(cache=True, nogil=True, fastmath=True)
 def block_sums(
-    first: Any, second: Any, block: Any, search: Any, products: Any, squares: Any
+    jobs: slice, first: Any, second: Any, block: Any, search: Any, products: Any, squares: Any
 ) -> None:
     """Fill in block sums of first x shifted second, and of the latter's square.
 
@@ -37,10 +38,10 @@ def block_sums(
     products, squares : (block z, block y, block x, shifts), the shifts in the order of z, y, x from
         -search to search. Voxels beyond the volume count as zero.
     """
-    deep, high, wide = products.shape[:3]
+    _, high, wide = products.shape[:3]
     rz, ry, rx = search
     across = 2 * rx + 1
-    for job in numba.prange(deep * high):
+    for job in range(jobs.start, jobs.stop):
         bz, by = job // high, job % high
         rows = np.zeros(
             (across + 1, second.shape[2] + 2 * rx), dtype=np.float32
@@ -81,9 +82,16 @@ def _add_rows(first: Any, second: Any, search: int, rows: Any) -> None:
         target[x] += second[x] * second[x]
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@numba.njit(cache=True, nogil=True, fastmath=True)
 def small_peaks(
-    products: Any, squares: Any, weights: Any, search: Any, floor: float, shift: Any, height: Any
+    jobs: slice,
+    products: Any,
+    squares: Any,
+    weights: Any,
+    search: Any,
+    floor: float,
+    shift: Any,
+    height: Any,
 ) -> None:
     """Fill in the peaks of the normalised correlation of windows.
 
@@ -99,9 +107,9 @@ def small_peaks(
     shift, height : (z, y, x, 3) displacements (x, y, z), and (z, y, x) the correlation there, 0
         without signal.
     """
-    deep, high, wide = height.shape
+    _, high, wide = height.shape
     count = products[0].shape[3]
-    for job in numba.prange(deep * high):
+    for job in range(jobs.start, jobs.stop):
         z, y = job // high, job % high
         sums, curve = np.empty((4, count), dtype=np.float32), np.empty(count, dtype=np.float32)
         for x in range(wide):
@@ -346,8 +354,9 @@ def by_shifts(
     products, squares = (
         (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)) for _ in range(2)
     )
-    block_sums(first, second, windows.step, search, products[0], squares[0])
-    block_sums(second, first, windows.step, search, products[1], squares[1])
+    rows, limits = math.prod(windows.blocks[:2]), (windows.step, search)
+    on_cores(block_sums, rows, first, second, *limits, products[0], squares[0])
+    on_cores(block_sums, rows, second, first, *limits, products[1], squares[1])
     weights = tuple(
         _weights(edge // step, taper) for edge, step in zip(windows.size, windows.step, strict=True)
     )
@@ -355,7 +364,8 @@ def by_shifts(
     weight = math.prod(float(line.sum()) for line in weights)
     floor = _EMPTY * math.sqrt(energies[0] * energies[1]) * weight + 1e-30
     shift, height = np.empty((*windows.counts, 3)), np.empty(windows.counts)
-    small_peaks(products, squares, weights, search, floor, shift, height)
+    rows = math.prod(windows.counts[:2])
+    on_cores(small_peaks, rows, products, squares, weights, search, floor, shift, height)
     return CorrelationPeaks(shift, height, None)
 
 

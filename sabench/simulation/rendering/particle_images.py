@@ -28,6 +28,7 @@ from sabench.simulation.rendering.light_routes import Route, direct
 from sabench.simulation.rendering.particle_light import Scatterers, intensity
 from sabench.utils.arrays import F64, I64, Bool, in_box, triple
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 _CHUNK, _BLOCK = 8192, 256  # points at a time: of exact paths, and of polynomials
 _DEGREES = (4, 6, 8, 11)  # of polynomials over a box, tried in this order
@@ -93,7 +94,7 @@ def find_paths(camera: Camera, points_mm: F64, box: Box | None = None) -> LightP
     inside = in_box(points_mm, low, high)
     pixel, valid = camera.project(points_mm)
     table = np.empty((len(smooth.coefficients), len(points_mm)))
-    _evaluate(points_mm, low, high, smooth.terms, smooth.coefficients, table)
+    _evaluate_all(points_mm, low, high, smooth, table)
     paths = LightPaths(pixel, valid, *_columns(table))
     return (
         paths
@@ -155,7 +156,7 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
         kept = np.sort(rising[together > _EXACT / 2.0])
         smooth = _Smooth(every.terms[kept], np.ascontiguousarray(every.coefficients[:, kept]))
         found = np.empty((truth.shape[1], len(truth)))
-        _evaluate(places, -np.ones(3), np.ones(3), smooth.terms, smooth.coefficients, found)
+        _evaluate_all(places, -np.ones(3), np.ones(3), smooth, found)
         if (np.abs(found.T - truth).max(axis=0) <= _EXACT * scale).all():
             return smooth
     return None
@@ -189,10 +190,17 @@ def _columns(table: F64) -> list[F64]:
     return [part.T if len(part) > 1 else part[0] for part in parts]
 
 
-@numba.njit(cache=True, parallel=True)
-def _evaluate(points: Any, low: Any, high: Any, terms: Any, coefficients: Any, out: Any) -> None:
+def _evaluate_all(points: F64, low: F64, high: F64, smooth: _Smooth, out: F64) -> None:
+    blocks = (len(points) + _BLOCK - 1) // _BLOCK
+    on_cores(_evaluate, blocks, points, low, high, smooth.terms, smooth.coefficients, out)
+
+
+@numba.njit(cache=True, nogil=True)
+def _evaluate(
+    jobs: slice, points: Any, low: Any, high: Any, terms: Any, coefficients: Any, out: Any
+) -> None:
     """Fill in polynomials (quantity, n), in Chebyshev's basis, at points (n, 3)."""
-    for block in numba.prange((len(points) + _BLOCK - 1) // _BLOCK):
+    for block in range(jobs.start, jobs.stop):
         _evaluate_block(points, block * _BLOCK, low, high, terms, coefficients, out)
 
 

@@ -21,6 +21,7 @@ from sabench.scenes import Scene
 from sabench.simulation.rendering.lamps import fluence
 from sabench.utils.arrays import C128, F32, F64, I64
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 from sabench.worlds.library.sizes import PER_OCTAVE, lattice_diameters_mm, size_numbers
 from sabench.worlds.tracers import material_numbers
 
@@ -273,7 +274,7 @@ class _Octave:
         places = self._places[numbers - self._octave * PER_OCTAVE]
         out = np.empty(len(numbers))
         at, half = angles_rad / self._step_rad - self._first, half_rad / self._step_rad
-        _average(self.rows, places, at, half, in_plane, *_nodes(), out)
+        on_cores(_average, len(out), self.rows, places, at, half, in_plane, *_nodes(), out)
         return out
 
 
@@ -291,13 +292,21 @@ def _nodes() -> tuple[F64, F64]:
     return points, weights
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def _average(
-    rows: Any, places: Any, at: Any, half: Any, in_plane: Any, points: Any, weights: Any, out: Any
+    jobs: slice,
+    rows: Any,
+    places: Any,
+    at: Any,
+    half: Any,
+    in_plane: Any,
+    points: Any,
+    weights: Any,
+    out: Any,
 ) -> None:
     """Average cubic interpolations over apertures; `at` and `half` are in steps."""
     largest, last = points.shape[0] - 1, rows.shape[1] - 3
-    for i in numba.prange(len(places)):
+    for i in range(jobs.start, jobs.stop):
         count = min(int(0.3 * half[i]) + 5, largest)  # the lobes' phase needs half as many
         row, both = places[i], (1.0 - in_plane[i], in_plane[i])
         total = 0.0

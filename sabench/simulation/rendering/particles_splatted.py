@@ -21,6 +21,7 @@ from sabench.images.gaussian_kernels import fill_shares
 from sabench.simulation.rendering.particle_images import ParticleImages, diffraction_px
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 from sabench.utils.vector_units import add_products, whole_lanes
 
 _PARTS = 2  # of a pixel's edge
@@ -86,9 +87,11 @@ def render(camera: Camera, images: ParticleImages) -> F64:
     image = np.zeros((camera.rows, camera.columns))
     lit, corner, size, tallest = _find_lit(*given, *image.shape)
     edge = max(_BAND, tallest)
-    starts, *windows = _sort_windows(*given, lit, corner, size, edge, -(-camera.rows // edge))
-    _add_windows(image, starts, *windows)
-    _clear(image)
+    bands = -(-camera.rows // edge)
+    starts, windows = _sort_windows(*given, lit, corner, size, edge, bands)
+    for odd in range(2):  # even bands first, then odd
+        on_cores(_add_windows, (bands + 1 - odd) // 2, odd, image, starts, windows)
+    on_cores(_clear, len(image), image)
     return image
 
 
@@ -148,31 +151,26 @@ def _sort_windows(
         light[to] = photons[i]
         slant = spread[i, 2] / (sigma[to, 0] * sigma[to, 1])
         tilt[to] = min(max(slant, -_LONGEST), _LONGEST)
-    return starts, where, light, sigma, tilt, corner, size
+    return starts, (where, light, sigma, tilt, corner, size)
 
 
-@numba.njit(cache=True, parallel=True)
-def _clear(image: Any) -> None:
+@numba.njit(cache=True, nogil=True)
+def _clear(jobs: slice, image: Any) -> None:
     """Replace numbers below zero.
 
     Series and polynomials may end a little below zero, which no number of photons is.
     """
-    for row in numba.prange(len(image)):
+    for row in range(jobs.start, jobs.stop):
         for column in range(image.shape[1]):
             image[row, column] = max(image[row, column], 0.0)
 
 
-@numba.njit(cache=True, parallel=True)
-def _add_windows(
-    image: Any, starts: Any, pixel: Any, photons: Any, sigma: Any, tilt: Any, corner: Any, size: Any
-) -> None:
-    """Add particles' windows: even bands first, then odd."""
-    bands = len(starts) - 1
-    shapes = pixel, photons, sigma, tilt, corner, size
-    for odd in range(2):
-        for turn in numba.prange((bands + 1 - odd) // 2):
-            band = 2 * turn + odd
-            _add_band(image, starts[band], starts[band + 1], shapes)
+@numba.njit(cache=True, nogil=True)
+def _add_windows(jobs: slice, odd: int, image: Any, starts: Any, windows: Any) -> None:
+    """Add the windows of particles in every other band."""
+    for turn in range(jobs.start, jobs.stop):
+        band = 2 * turn + odd
+        _add_band(image, starts[band], starts[band + 1], windows)
 
 
 @numba.njit(cache=True, fastmath=_ANY_ORDER)

@@ -15,6 +15,7 @@ from sabench.geometry.refraction import length_to_fluid
 from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.utils.arrays import F32, F64, I32, Bool
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 # lines of sight across a pixel, for shares of bubbles; odd, so that one is the pixel's own
 _FINER = 5
@@ -234,13 +235,15 @@ def meets(bubbles: Bubbles, starts_mm: F64, directions: F64) -> Bool:
     if len(bubbles):
         lines = np.ascontiguousarray(starts_mm), np.ascontiguousarray(directions)
         widest = bubbles.semi_axes_mm.max(axis=1)
-        _meet(*lines, bubbles.center_mm, bubbles.to_ball, widest, out)
+        on_cores(_meet, len(out), *lines, bubbles.center_mm, bubbles.to_ball, widest, out)
     return out
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _meet(starts: Any, directions: Any, centers: Any, to_ball: Any, radius: Any, out: Any) -> None:
-    for i in numba.prange(len(starts)):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _meet(
+    jobs: slice, starts: Any, directions: Any, centers: Any, to_ball: Any, radius: Any, out: Any
+) -> None:
+    for i in range(jobs.start, jobs.stop):
         for n in range(len(centers)):
             along = across = 0.0
             for k in range(3):

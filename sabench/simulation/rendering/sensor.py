@@ -16,6 +16,7 @@ from sabench.utils.arrays import F64, U16
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.utils.philox import block, draw_key, fill_blocks
+from sabench.utils.threads import on_cores
 
 SHOT, READ, _REST = np.uint64(0), np.uint64(1), np.uint64(2)  # purposes of blocks
 _ONE, _SHIFT, _UNUSED = np.uint64(1), np.uint64(21), np.uint64(11)
@@ -289,7 +290,6 @@ def _deviance(k: float, mean: float) -> Any:
 
 
 _HOT = 0.5  # of the full well: mean signal of hot pixels
-_ROWS = 16  # of a part of an image
 _MOST_E = 1e15  # electrons: more than any well holds, and few enough to be counted exactly
 
 
@@ -347,7 +347,7 @@ def expose(
     """
     pixels = None if pattern is None else (pattern.response, pattern.hot_e, pattern.offset_e)
     light, grey = np.ascontiguousarray(photons), np.empty(photons.shape, dtype=np.uint16)
-    if _expose(light, pixels, draw_key(rng), _chain(sensor), grey):
+    if any(on_cores(_expose, len(light), light, pixels, draw_key(rng), _chain(sensor), grey)):
         raise InputError(
             "illumination: photon counts must be finite and not negative; check the pulse energy "
             "and the lights"
@@ -383,24 +383,13 @@ def _chain(sensor: Sensor) -> _Chain:
     )
 
 
-@numba.njit(cache=True, parallel=True)
-def _expose(photons: Any, pixels: Any, key: Any, chain: Any, grey: Any) -> Any:
-    """Fill in grey values; return how many pixels have no possible mean."""
-    wrong, rows = 0, len(photons)
-    for part in numba.prange((rows + _ROWS - 1) // _ROWS):
-        first = part * _ROWS
-        wrong += _expose_rows(photons, pixels, key, chain, first, min(first + _ROWS, rows), grey)
-    return wrong
-
-
-@numba.njit(cache=True)
-def _expose_rows(
-    photons: Any, pixels: Any, key: Any, chain: Any, first: int, last: int, grey: Any
-) -> Any:
+@numba.njit(cache=True, nogil=True)
+def _expose(jobs: slice, photons: Any, pixels: Any, key: Any, chain: Any, grey: Any) -> Any:
+    """Fill in rows of grey values; return how many pixels have no possible mean."""
     columns, wrong, start = photons.shape[1], 0, np.uint64(0)
     means, signal, noise = np.empty(columns), np.empty(columns), np.zeros(columns)
     blocks = np.empty((4, columns), np.uint32)
-    for row in range(first, last):
+    for row in range(jobs.start, jobs.stop):
         counter = np.uint64(row)
         wrong += _fill_means(photons, pixels, chain, row, means)
         if chain.shot_noise and wrong == 0:

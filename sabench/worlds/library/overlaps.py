@@ -11,6 +11,7 @@ import numpy as np
 from sabench.api.truth import Bubbles, Solid
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.compiled import numba
+from sabench.utils.threads import on_cores
 
 
 def contains(body: Solid, points_mm: F64) -> Bool:
@@ -21,15 +22,16 @@ def contains(body: Solid, points_mm: F64) -> Bool:
     low, high = body.vertices_mm.min(axis=0), body.vertices_mm.max(axis=0)
     near = np.flatnonzero(((points_mm >= low) & (points_mm <= high)).all(axis=1))
     angles = np.empty(len(near))
-    _solid_angles(np.ascontiguousarray(points_mm[near]), body.vertices_mm, body.faces, angles)
+    points = np.ascontiguousarray(points_mm[near])
+    on_cores(_solid_angles, len(angles), points, body.vertices_mm, body.faces, angles)
     out = np.zeros(len(points_mm), dtype=np.bool_)
     out[near] = np.abs(angles) > 2.0 * np.pi
     return out
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _solid_angles(points: Any, vertices: Any, faces: Any, out: Any) -> None:
-    for n in numba.prange(len(points)):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _solid_angles(jobs: slice, points: Any, vertices: Any, faces: Any, out: Any) -> None:
+    for n in range(jobs.start, jobs.stop):
         total = 0.0
         for f in range(len(faces)):
             ax = vertices[faces[f, 0], 0] - points[n, 0]

@@ -16,6 +16,7 @@ from sabench.api.truth import Solid
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
+from sabench.utils.threads import on_cores
 from sabench.worlds.library.overlaps import contains
 
 _AT_REST = 1e-3  # of the mean flow: the speed that is left in the bodies, root mean square
@@ -69,7 +70,8 @@ class SlowFlow:
     def velocity(self, points_mm: F64) -> F64:
         """Compute velocities (n, 3) at points (n, 3), the box repeated."""
         slopes = np.empty((len(points_mm), 3, 3))
-        _slopes(self.splines, (points_mm - self.box.low_mm) / self.box.step_mm, slopes)
+        places = (points_mm - self.box.low_mm) / self.box.step_mm
+        on_cores(_slopes, len(slopes), self.splines, places, slopes)
         slopes /= self.box.step_mm
         curl = np.stack([slopes[:, k, j] - slopes[:, j, k] for j, k in _PAIRS], axis=1)
         return np.asarray(self.mean_mm_s + curl)
@@ -77,7 +79,8 @@ class SlowFlow:
     def gradient(self, points_mm: F64) -> F64:
         """Compute gradients (n, 3, 3), du_i / dx_j."""
         bends = np.empty((len(points_mm), 3, 3, 3))
-        _bends(self.splines, (points_mm - self.box.low_mm) / self.box.step_mm, bends)
+        places = (points_mm - self.box.low_mm) / self.box.step_mm
+        on_cores(_bends, len(bends), self.splines, places, bends)
         bends /= self.box.step_mm**2
         return np.stack([bends[:, k, j] - bends[:, j, k] for j, k in _PAIRS], axis=1)
 
@@ -185,11 +188,11 @@ def _weights(part: float, out: Any) -> None:
     out[2, 2] = -2.0 + 3.0 * r
 
 
-@numba.njit(cache=True, parallel=True)
-def _slopes(splines: Any, places: Any, out: Any) -> None:
+@numba.njit(cache=True, nogil=True)
+def _slopes(jobs: slice, splines: Any, places: Any, out: Any) -> None:
     """Fill slopes (n, component, axis) at places (n, 3) in steps."""
     shape = splines.shape
-    for n in numba.prange(len(places)):
+    for n in range(jobs.start, jobs.stop):
         weight, first = np.empty((3, 3, 4)), np.empty(3, dtype=np.int64)
         for axis in range(3):
             whole = np.floor(places[n, axis])
@@ -212,11 +215,11 @@ def _slopes(splines: Any, places: Any, out: Any) -> None:
                         out[n, m, 2] += z * value
 
 
-@numba.njit(cache=True, parallel=True)
-def _bends(splines: Any, places: Any, out: Any) -> None:
+@numba.njit(cache=True, nogil=True)
+def _bends(jobs: slice, splines: Any, places: Any, out: Any) -> None:
     """Fill second derivatives (n, component, axis, axis) at places (n, 3) in steps."""
     shape = splines.shape
-    for n in numba.prange(len(places)):
+    for n in range(jobs.start, jobs.stop):
         weight, first = np.empty((3, 3, 4)), np.empty(3, dtype=np.int64)
         for axis in range(3):
             whole = np.floor(places[n, axis])

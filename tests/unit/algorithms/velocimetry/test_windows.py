@@ -1,5 +1,6 @@
 """Kernels of window correlation against other programs, vectors against known flows."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,10 @@ def test_moved_volumes_are_scipy_s() -> None:
     volumes = rng.random((2, 20, 40, 50)).astype(np.float32)
     field, origin, step = rng.normal(0.0, 1.5, (4, 5, 6, 3)), (2.0, 3.0, 4.0), (4.0, 8.0, 8.0)
     out = np.empty((2, 20, 40, 50), dtype=np.float32)
-    deform_pair(*(spline_coefficients(values) for values in volumes), field, origin, step, *out)
+    rows = slice(0, math.prod(out[0].shape[:2]))
+    deform_pair(
+        rows, *(spline_coefficients(values) for values in volumes), field, origin, step, *out
+    )
     place = np.mgrid[:20, :40, :50].astype(np.float64)
     shift = _continued(field, [(place[i] - origin[i]) / step[i] for i in range(3)])
     found, both = [], np.ones((20, 40, 50), dtype=np.bool_)
@@ -102,7 +106,15 @@ def test_block_sums_are_sums() -> None:
     rng = np.random.default_rng(3)
     first, second = rng.random((2, 12, 16, 24)).astype(np.float32)
     products, squares = (np.empty((3, 2, 3, 3 * 5 * 5), dtype=np.float32) for _ in range(2))
-    block_sums(first, second, (4, 8, 8), (1, 2, 2), products, squares)
+    block_sums(
+        slice(0, math.prod(products.shape[:2])),
+        first,
+        second,
+        (4, 8, 8),
+        (1, 2, 2),
+        products,
+        squares,
+    )
     padded = np.pad(second, ((1, 1), (2, 2), (2, 2)))
     for (dz, dy, dx), place in np.ndenumerate(np.arange(75).reshape(3, 5, 5)):
         other = padded[dz : dz + 12, dy : dy + 16, dx : dx + 24]
@@ -223,7 +235,7 @@ def test_medians_are_those_of_the_neighbours() -> None:
     padded[rng.random((5, 6, 7)) < 0.3] = np.nan
     padded[:3, :3, :3] = np.nan
     middle, spread = np.empty((3, 4, 5, 3)), np.empty((3, 4, 5, 3))
-    medians(padded, middle, spread)
+    medians(slice(0, math.prod(middle.shape[:2])), padded, middle, spread)
     for z, y, x in np.ndindex(3, 4, 5):
         around = np.delete(padded[z : z + 3, y : y + 3, x : x + 3].reshape(27, 3), 13, axis=0)
         known = around[np.isfinite(around[:, 0])]

@@ -118,6 +118,6 @@ def test_the_kernel_that_meets_bubbles_reads_nothing_beyond_its_arrays() -> None
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     plain = np.zeros(60, dtype=np.bool_)
     reach = what.semi_axes_mm.max(axis=1)
-    _meet.py_func(starts, directions, what.center_mm, what.to_ball, reach, plain)
+    _meet.py_func(slice(0, 60), starts, directions, what.center_mm, what.to_ball, reach, plain)
     assert 5 < plain.sum() < 55
     np.testing.assert_array_equal(meets(what, starts, directions), plain)
