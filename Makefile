@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
+# Where this is set, every command that a test starts compiles all sources again.
+export PYTHONDONTWRITEBYTECODE =
 
 .PHONY: demo test test-all lint types gate wheel docs installs release clean
 

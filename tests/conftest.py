@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 
 import pytest
 from _pytest.runner import runtestprotocol
+from filelock import FileLock
 
 import sabench
 from sabench.cli.main import main
@@ -139,20 +141,33 @@ def pinholes(cameras: Iterable[CameraModel]) -> tuple[Camera, ...]:
     return tuple(camera for camera in cameras if isinstance(camera, Camera))
 
 
+@contextmanager
+def shared_folder(factory: pytest.TempPathFactory) -> Generator[Path]:
+    """Lend a folder of all processes of this run to one at a time."""
+    folder = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    with FileLock(folder / "shared.lock"):
+        yield folder / "shared"
+
+
 @pytest.fixture(scope="session")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """The quick scene, seed 1. Do not change it: copy it."""
-    return sabench.generate(
-        "quick", tmp_path_factory.mktemp("data") / "quick", seed=1, backend="mitsuba"
-    )
+    with shared_folder(tmp_path_factory) as folder:
+        if (folder / "quick").exists():
+            return sabench.open_dataset(folder / "quick")
+        return sabench.generate("quick", folder / "quick", seed=1, backend="mitsuba")
 
 
 @pytest.fixture(scope="session")
-def quick_result(quick: Dataset) -> Path:
+def quick_result(quick: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The multiplicative synthetic aperture's result on `quick`."""
-    path = quick.root.parent / "msa.h5"
-    sabench.solve("msa", quick, path)
-    return path
+    with shared_folder(tmp_path_factory) as folder:
+        path = folder / "msa.h5"
+        if not path.exists():
+            sabench.solve("msa", quick, path)
+        return path
 
 
 @pytest.fixture
