@@ -101,10 +101,7 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
     if spec.errs_in_wall and isinstance(wall := cameras[0].wall, Wall):
         nominal = draw_nominal_wall(wall, spec, seed)
         cameras = tuple(replace(camera, wall=nominal) for camera in cameras)
-    return tuple(
-        _perturb(_shift(camera, spec, seed, number), spec, seed, number)
-        for number, camera in enumerate(cameras)
-    )
+    return tuple(_perturb(camera, spec, seed, number) for number, camera in enumerate(cameras))
 
 
 def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
@@ -132,20 +129,12 @@ def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
     )
 
 
-def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    """Move the principal point, and set unknown coefficients of distortion to zero."""
+def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+    """Move a camera, its principal point and sensor; unknown distortion becomes zero."""
     angle = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
     right, down = spec.shift_px * float(np.cos(angle)), spec.shift_px * float(np.sin(angle))
     column, row = camera.principal_point_px
     unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
-    return replace(
-        camera,
-        distortion=replace(camera.distortion, **unmeasured),
-        principal_point_px=(column + right, row + down),
-    )
-
-
-def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
     rng = stream(seed, "rough cameras", number)
     center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
     rotation = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
@@ -157,6 +146,8 @@ def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camer
     tilt = np.asarray(camera.tilt_deg) + (spec.tilt_deg or 0.0) * rng.standard_normal(2)
     return replace(
         camera,
+        distortion=replace(camera.distortion, **unmeasured),
+        principal_point_px=(column + right, row + down),
         tilt_deg=(float(tilt[0]), float(tilt[1])),
         center_mm=triple(center),
         rotation=(triple(rotation[0]), triple(rotation[1]), triple(rotation[2])),

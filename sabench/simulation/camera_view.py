@@ -13,13 +13,12 @@ from sabench.scenes.illumination import Background
 from sabench.simulation.frames import FrameContent, Tracers, find_hidden
 from sabench.simulation.rendering import (
     bubbles_traced,
-    light_routes,
     particles_splatted,
     particles_traced,
     targets_traced,
 )
 from sabench.simulation.rendering.bubble_stage import Lights, Tank
-from sabench.simulation.rendering.light_routes import Route
+from sabench.simulation.rendering.light_routes import Route, reflections
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import expose, full_well_photons, make_pattern
@@ -108,25 +107,31 @@ class CameraView:
 
 def render_camera_view(frame: FrameContent, camera: int) -> CameraView:
     """Render a frame as one camera of its rig sees it; `camera` is its number there."""
+    scene, lens = frame.scene, frame.rig.cameras[camera]
     if frame.target is not None:
-        return _render_target(frame, camera)
+        if scene.lighting is None or frame.pose is None:
+            raise ValueError(f"frame {frame.number}: expected a target under lamps")
+        center, samples = np.asarray(scene.volume.center_mm), scene.render.samples_per_pixel
+        saturation = targets_traced.render(
+            lens, frame.target, frame.pose, scene.lighting, center, samples
+        )
+        return CameraView(lens, full_well_photons(scene.sensor) * saturation)
     if frame.bubbles is not None:
         return _render_bubbles(frame, frame.bubbles, camera)
-    if frame.tracers is not None:
-        return _render_tracers(frame, frame.tracers.of_camera(camera), frame.rig.cameras[camera])
-    raise ValueError(f"frame {frame.number}: expected something to render, got an empty frame")
-
-
-def _render_tracers(frame: FrameContent, tracers: Tracers, camera: Camera) -> CameraView:
-    images = _image(frame, tracers, camera)
-    if frame.scene.cameras.airy_rings:
-        wavelength = frame.scene.light.wavelength_nm
+    if frame.tracers is None:
+        raise ValueError(f"frame {frame.number}: expected something to render, got an empty frame")
+    tracers = frame.tracers
+    if tracers.exposed is not None:  # the camera records a part of the pulse
+        particles, positions, share = tracers.exposed(camera)
+        tracers = replace(tracers, particles=particles, positions_mm=positions, share=share)
+    images = _image(frame, tracers, lens)
+    if scene.cameras.airy_rings:
         photons = particles_splatted.render_with_rings(
-            camera, wavelength, lambda fine: _expose(frame, tracers, fine)
+            lens, scene.light.wavelength_nm, lambda fine: _expose(frame, tracers, fine)
         )
     else:
-        photons = _expose(frame, tracers, camera, images)
-    return CameraView(camera, photons, particles=images)
+        photons = _expose(frame, tracers, lens, images)
+    return CameraView(lens, photons, particles=images)
 
 
 def _expose(
@@ -136,10 +141,10 @@ def _expose(
 
     `known` are the images on the direct route at the middle of the pulse, if already computed.
     """
-    scene, routes = frame.scene, [light_routes.direct(camera.wall)]
+    scene, routes = frame.scene, [Route(camera.wall)]
     if scene.plane is not None and scene.plane.mirrors and isinstance(camera.wall, Wall):
         rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear)
-        routes += light_routes.reflections(camera.wall, rear)
+        routes += reflections(camera.wall, rear)
     total = None
     for positions in tracers.positions_mm:
         middle, moment = positions is tracers.particles.position_mm, tracers
@@ -243,21 +248,6 @@ def lights_of(scene: Scene) -> Lights:
     """Return the lights of a scene without the laser."""
     center = np.asarray(scene.volume.center_mm)
     return Lights(scene.backlight, scene.lighting, center, full_well_photons(scene.sensor))
-
-
-def _render_target(frame: FrameContent, number: int) -> CameraView:
-    scene, camera = frame.scene, frame.rig.cameras[number]
-    if scene.lighting is None or frame.target is None or frame.pose is None:
-        raise ValueError(f"frame {frame.number}: expected a target under lamps")
-    saturation = targets_traced.render(
-        camera,
-        frame.target,
-        frame.pose,
-        scene.lighting,
-        np.asarray(scene.volume.center_mm),
-        scene.render.samples_per_pixel,
-    )
-    return CameraView(camera, full_well_photons(scene.sensor) * saturation)
 
 
 def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:

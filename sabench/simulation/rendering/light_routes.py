@@ -5,7 +5,8 @@ a straight route of refractions alone. What a face reflects is Fresnel's share f
 light.
 """
 
-from dataclasses import dataclass, replace
+import functools
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,12 +18,12 @@ from sabench.utils.arrays import F64
 
 @dataclass(frozen=True)
 class Route:
-    """Route of light to one camera.
+    """Route of light to one camera, by default the one without reflections.
 
     Attributes
     ----------
     wall : what the light crosses, unfolded; None in plain air.
-    normal : (3,) unit vector across the faces that reflect.
+    normal : (3,) unit vector across the faces that reflect; any if there are none.
     offset_mm : further distance of the unfolded particle along the normal: its own distance from
         the plane below, or none.
     mirror_mm : position along the normal of the plane that mirrors particles; None if an even
@@ -31,7 +32,7 @@ class Route:
     """
 
     wall: Wall | CylinderWall | None
-    normal: F64
+    normal: F64 = field(default_factory=functools.partial(np.zeros, 3))
     offset_mm: float = 0.0
     mirror_mm: float | None = None
     faces: tuple[tuple[float, float], ...] = ()
@@ -74,11 +75,6 @@ class Route:
         return share
 
 
-def direct(wall: Wall | CylinderWall | None) -> Route:
-    """Return the route without reflections."""
-    return Route(wall, np.zeros(3))
-
-
 def reflections(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:
     """List the routes with reflections: one behind the fluid or two before it.
 
@@ -86,43 +82,27 @@ def reflections(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:
     it, light goes to and fro once between two faces of the wall. Routes with more reflections carry
     less than a thousandth of the light.
     """
-    indices, layers = wall.indices, wall.layers
+    indices, layers, normal = wall.indices, wall.layers, np.asarray(wall.normal)
     routes = []
     for outer in range(len(layers)):
         for inner in range(outer + 1, len(layers) + 1):
             there = layers[outer:inner]
-            unfolded = (*layers[:inner], *there[::-1], *there, *layers[inner:])
+            layers_unfolded = (*layers[:inner], *there[::-1], *there, *layers[inner:])
+            unfolded = replace(wall, layers=layers_unfolded, depth_mm=None)
             extra = 2.0 * sum(layer.thickness_mm for layer in there)
             faces = ((indices[outer + 1], indices[outer]), (indices[inner], indices[inner + 1]))
-            routes.append(
-                Route(
-                    replace(wall, layers=unfolded, depth_mm=None),
-                    np.asarray(wall.normal),
-                    extra,
-                    faces=tuple((float(a), float(b)) for a, b in faces),
-                )
-            )
-    return [*routes, *_from_behind(wall, rear)]
-
-
-def _from_behind(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:
+            pairs = tuple((float(a), float(b)) for a, b in faces)
+            routes.append(Route(unfolded, normal, extra, faces=pairs))
     if wall.depth_mm is None:
-        return []
-    normal, fluid = np.asarray(wall.normal), wall.fluid_index
+        return routes
     inner_mm = float(np.asarray(wall.point_mm) @ normal) + wall.thickness_mm
-    media = (fluid, *(layer.index for layer in rear), wall.air_index)
-    routes = []
+    mirror_mm = inner_mm + wall.depth_mm
+    fluid = Layer("fluid", wall.fluid_index, wall.depth_mm)
+    media = (wall.fluid_index, *(layer.index for layer in rear), wall.air_index)
     for face in range(len(rear) + 1):
         passed = rear[:face]
-        unfolded = (*wall.layers, Layer("fluid", fluid, wall.depth_mm), *passed, *passed[::-1])
+        layers_unfolded = (*layers, fluid, *passed, *passed[::-1])
+        unfolded = replace(wall, layers=layers_unfolded, depth_mm=None)
         extra = 2.0 * sum(layer.thickness_mm for layer in passed)
-        routes.append(
-            Route(
-                replace(wall, layers=unfolded, depth_mm=None),
-                normal,
-                extra,
-                inner_mm + wall.depth_mm,
-                ((media[face], media[face + 1]),),
-            )
-        )
+        routes.append(Route(unfolded, normal, extra, mirror_mm, ((media[face], media[face + 1]),)))
     return routes

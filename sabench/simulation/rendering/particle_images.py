@@ -24,7 +24,7 @@ from sabench.geometry.lens import UPRIGHT, from_sensor, onto_sensor, stretch
 from sabench.geometry.occluders import Disc, in_shadow
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import Scene
-from sabench.simulation.rendering.light_routes import Route, direct
+from sabench.simulation.rendering.light_routes import Route
 from sabench.simulation.rendering.particle_light import Scatterers, intensity
 from sabench.utils.arrays import F64, I64, Bool, in_box, triple
 from sabench.utils.compiled import numba
@@ -94,33 +94,19 @@ def find_paths(camera: Camera, points_mm: F64, box: Box | None = None) -> LightP
     pixel, valid = camera.project(points_mm)
     table = np.empty((len(smooth.coefficients), len(points_mm)))
     _evaluate(points_mm, low, high, smooth.terms, smooth.coefficients, table)
-    paths = LightPaths(pixel, valid, *_columns(table))
-    return (
-        paths
-        if inside.all()
-        else _replace(paths, ~inside, _find_exactly(camera, points_mm[~inside]))
-    )
-
-
-def object_steps(camera: Camera, points_mm: F64, direction: F64) -> F64:
-    """Compute the shifts (n, 2, 3) of points, mm, that move their images by a pixel.
-
-    Along columns and rows; they lie across the light paths of the given directions (n, 3).
-    """
-    steps: F64 = _apply_in_chunks(_object_shape, camera, points_mm, direction)[1]
-    return steps
+    parts = [table[end - SMOOTH[name] : end] for name, end in _ENDS.items()]
+    paths = LightPaths(pixel, valid, *(part.T if len(part) > 1 else part[0] for part in parts))
+    if inside.all():
+        return paths
+    exact = _find_exactly(camera, points_mm[~inside])
+    changed = {name: value.copy() for name, value in vars(paths).items()}
+    for name, value in changed.items():
+        value[~inside] = getattr(exact, name)
+    return LightPaths(**changed)
 
 
 def _find_exactly(camera: Camera, points_mm: F64) -> LightPaths:
     return LightPaths(*_apply_in_chunks(_see, camera, points_mm))
-
-
-def _replace(paths: LightPaths, rows: Bool, others: LightPaths) -> LightPaths:
-    """Replace the paths of some rows by others."""
-    changed = {name: value.copy() for name, value in vars(paths).items()}
-    for name, value in changed.items():
-        value[rows] = getattr(others, name)
-    return LightPaths(**changed)
 
 
 @dataclass(frozen=True)
@@ -142,7 +128,7 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
     exact = _find_exactly(camera, low + 0.5 * (places + 1.0) * (high - low))
     if not exact.valid.all():
         return None
-    truth = _table(exact)
+    truth = np.column_stack([getattr(exact, name) for name in SMOOTH])
     scale = np.abs(truth).max(axis=0)
     blur = slice(_ENDS["blur_px2"] - SMOOTH["blur_px2"], _ENDS["blur_px2"])
     scale[blur] = max(float(scale[blur].max()), _LEAST_BLUR_PX2)
@@ -169,24 +155,14 @@ def _fit(camera: Camera, low: F64, high: F64, degree: int) -> _Smooth | None:
     paths = _find_exactly(camera, low + 0.5 * (nodes + 1.0) * (high - low))
     if not paths.valid.all():
         return None
-    values = _table(paths).reshape(count, count, count, -1)
+    table = np.column_stack([getattr(paths, name) for name in SMOOTH])
+    values = table.reshape(count, count, count, -1)
     basis = np.cos(np.outer(np.arange(count), angles)) * 2.0 / count
     basis[0] *= 0.5
     weights = np.einsum("ai,bj,ck,ijkq->abcq", basis, basis, basis, values, optimize=True)
     every = itertools.product(range(count), repeat=3)
     terms = np.array([term for term in every if sum(term) <= degree])
     return _Smooth(terms, np.ascontiguousarray(weights[tuple(terms.T)].T))
-
-
-def _table(paths: LightPaths) -> F64:
-    """Collect the slow quantities of n paths, (n, quantity)."""
-    return np.column_stack([getattr(paths, name) for name in SMOOTH])
-
-
-def _columns(table: F64) -> list[F64]:
-    """Take a table (quantity, n) apart, in the order of `LightPaths`."""
-    parts = [table[end - SMOOTH[name] : end] for name, end in _ENDS.items()]
-    return [part.T if len(part) > 1 else part[0] for part in parts]
 
 
 @numba.njit(cache=True, parallel=True)
@@ -352,7 +328,7 @@ class ParticleImages(ParticleView):
         (n, 2, 3). They are two conjugate half axes of the ellipse that one standard deviation of
         the image has on the particle's side of the wall.
         """
-        steps = object_steps(camera, position_mm, self.direction)
+        steps: F64 = _apply_in_chunks(_object_shape, camera, position_mm, self.direction)[1]
         across, down, both = self.spread_px2.T
         first = np.sqrt(across)
         slant = both / np.where(first > 0.0, first, 1.0)
@@ -381,9 +357,14 @@ def image_particles(
     Gaussian with the summed variances of the particle's disc (M d / 4), of diffraction (Airy,
     `_AIRY`) and of defocus (an ellipse, axes / 4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
-    route = route or direct(camera.wall)
+    route = route or Route(camera.wall)
     camera, place_mm = route.behind(camera), route.place(particles.position_mm)
-    box = _box(scene, route) if len(particles) > _MANY else None
+    box: Box | None = None
+    if len(particles) > _MANY:  # the apparent box of the volume
+        half = _SLACK * np.asarray(scene.volume.size_mm) / 2.0
+        corners = np.asarray(list(itertools.product((-1.0, 1.0), repeat=3))) * half
+        apparent = route.place(np.asarray(scene.volume.center_mm) + corners)
+        box = triple(apparent.min(axis=0)), triple(apparent.max(axis=0))
     seen = find_paths(camera, place_mm, box)
     pinhole = np.asarray(camera.center_mm)
     unobstructed = seen.valid & ~in_shadow(occluders, pinhole, seen.leaving)
@@ -400,14 +381,6 @@ def image_particles(
     sigma = (spread[:, 0] * spread[:, 1] - spread[:, 2] ** 2) ** 0.25
     visible = unobstructed & camera.contains(seen.pixel)
     return ParticleImages(seen.pixel, photons, sigma, visible, sent, seen.arriving, spread)
-
-
-def _box(scene: Scene, route: Route) -> Box:
-    """Return the apparent box of the scene's volume for a camera on a route."""
-    half = _SLACK * np.asarray(scene.volume.size_mm) / 2.0
-    corners = np.asarray(list(itertools.product((-1.0, 1.0), repeat=3))) * half
-    seen = route.place(np.asarray(scene.volume.center_mm) + corners)
-    return triple(seen.min(axis=0)), triple(seen.max(axis=0))
 
 
 def _spread_px2(scene: Scene, camera: Camera, diameter_mm: F64, seen: LightPaths) -> F64:

@@ -179,11 +179,15 @@ class Scattering:
         numbers, out = size_numbers(diameters_mm), np.zeros(len(diameters_mm))
         arrives = np.isfinite(angles_rad) & np.isfinite(half_angles_rad)
         octaves = np.where(arrives, numbers // PER_OCTAVE, _NONE)
-        for octave in np.flatnonzero(np.bincount(octaves - _NONE)[1:]) + 1 + _NONE:
+        for octave in (np.flatnonzero(np.bincount(octaves - _NONE)[1:]) + 1 + _NONE).tolist():
+            if octave not in self._octaves:
+                largest = float(lattice_diameters_mm(np.array((octave + 1) * PER_OCTAVE)))
+                step = min(self._wavelength_mm / largest, 1.0) / _PER_LOBE
+                given = self._index, np.pi / self._wavelength_mm, self._angles_rad
+                self._octaves[octave] = _Octave(octave, step, *given)
             chosen = np.flatnonzero(octaves == octave)
             angles, half = angles_rad[chosen], half_angles_rad[chosen]
-            reach = float((angles - half).min()), float((angles + half).max())
-            table = self._octave(int(octave), numbers[chosen], reach)
+            table = self._octaves[octave]
             out[chosen] = table.average(numbers[chosen], angles, half, in_plane[chosen])
         return out * (self._wavelength_mm / (2.0 * np.pi)) ** 2
 
@@ -197,17 +201,6 @@ class Scattering:
         sizes, which = np.unique(diameters_mm, return_inverse=True)
         efficiency = extinction_efficiency(self._index, np.pi * sizes / self._wavelength_mm)
         return np.asarray((efficiency * np.pi / 4.0 * sizes**2)[which])
-
-    def _octave(self, octave: int, numbers: I64, reach_rad: tuple[float, float]) -> _Octave:
-        if octave not in self._octaves:
-            largest = float(lattice_diameters_mm(np.array((octave + 1) * PER_OCTAVE)))
-            step = min(self._wavelength_mm / largest, 1.0) / _PER_LOBE
-            wavenumber = np.pi / self._wavelength_mm
-            self._octaves[octave] = _Octave(octave, step, self._index, wavenumber, self._angles_rad)
-        table = self._octaves[octave]
-        table.widen(reach_rad)
-        table.add(numbers)
-        return table
 
 
 class _Octave:
@@ -228,15 +221,16 @@ class _Octave:
         wavenumber: float,  # which times a diameter is its size parameter
         reach_rad: tuple[float, float],
     ) -> None:
-        self._octave, self._step_rad, self._index = octave, step_rad, index
+        self._lowest, self._step_rad, self._index = octave * PER_OCTAVE, step_rad, index
         self._wavenumber = wavenumber
         self._first, self._last = self._multiples(reach_rad)
         self._numbers: I64 = np.zeros(0, dtype=np.int64)  # of the rows
         self._places: I64 = np.full(PER_OCTAVE, -1)  # row of each size; -1: none yet
         self.rows = self._intensities(self._numbers, self._first, self._last)
 
-    def widen(self, reach_rad: tuple[float, float]) -> None:
-        """Extend the table to more angles; what it holds stays as it is."""
+    def average(self, numbers: I64, angles_rad: F64, half_rad: F64, in_plane: F64) -> F64:
+        """Average |S|^2 (n,) over apertures; the table grows, what it holds stays as it is."""
+        reach_rad = float((angles_rad - half_rad).min()), float((angles_rad + half_rad).max())
         first, last = self._multiples(reach_rad)
         if first < self._first:
             more = self._intensities(self._numbers, first, self._first - 1)
@@ -244,15 +238,16 @@ class _Octave:
         if last > self._last:
             more = self._intensities(self._numbers, self._last + 1, last)
             self.rows, self._last = np.concatenate([self.rows, more], axis=1), last
-
-    def add(self, numbers: I64) -> None:
-        """Tabulate new sizes."""
-        own = np.unique(numbers[self._places[numbers - self._octave * PER_OCTAVE] < 0])
+        own = np.unique(numbers[self._places[numbers - self._lowest] < 0])
         if len(own):
             more = self._intensities(own, self._first, self._last)
-            self._places[own - self._octave * PER_OCTAVE] = len(self.rows) + np.arange(len(own))
+            self._places[own - self._lowest] = len(self.rows) + np.arange(len(own))
             self.rows = np.concatenate([self.rows, more])
             self._numbers = np.concatenate([self._numbers, own])
+        places, out = self._places[numbers - self._lowest], np.empty(len(numbers))
+        at, half = angles_rad / self._step_rad - self._first, half_rad / self._step_rad
+        _average(self.rows, places, at, half, in_plane, *_nodes(), out)
+        return out
 
     def _multiples(self, reach_rad: tuple[float, float]) -> tuple[int, int]:
         low, high = reach_rad
@@ -267,14 +262,6 @@ class _Octave:
         if not len(sizes):
             return np.zeros((0, len(angles), 2), dtype=np.float32)
         return np.stack(intensities(self._index, sizes, angles), axis=-1).astype(np.float32)
-
-    def average(self, numbers: I64, angles_rad: F64, half_rad: F64, in_plane: F64) -> F64:
-        """Average |S|^2 (n,) over apertures."""
-        places = self._places[numbers - self._octave * PER_OCTAVE]
-        out = np.empty(len(numbers))
-        at, half = angles_rad / self._step_rad - self._first, half_rad / self._step_rad
-        _average(self.rows, places, at, half, in_plane, *_nodes(), out)
-        return out
 
 
 @functools.cache
@@ -342,7 +329,8 @@ class Scatterers:
 
     def cross_section(self, particles: Particles, angles: F64, half: F64, in_plane: F64) -> F64:
         """Compute differential cross-sections (n,), mm2/sr, as `Scattering` does."""
-        out, numbers = np.empty(len(particles)), self._numbers(particles)
+        numbers = material_numbers(self._tracer, self._seed, particles.id)
+        out = np.empty(len(particles))
         for number, material in enumerate(self._materials):
             own = numbers == number
             given = (angles[own], half[own], in_plane[own])
@@ -351,14 +339,12 @@ class Scatterers:
 
     def extinction_mm2(self, particles: Particles) -> F64:
         """Compute extinction cross-sections (n,)."""
-        out, numbers = np.empty(len(particles)), self._numbers(particles)
+        numbers = material_numbers(self._tracer, self._seed, particles.id)
+        out = np.empty(len(particles))
         for number, material in enumerate(self._materials):
             own = numbers == number
             out[own] = material.extinction_mm2(particles.diameter_mm[own])
         return out
-
-    def _numbers(self, particles: Particles) -> I64:
-        return material_numbers(self._tracer, self._seed, particles.id)
 
 
 @functools.lru_cache(maxsize=8)

@@ -331,6 +331,20 @@ def make_pattern(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generato
     return FixedPattern(response, np.where(hot, mean * size, 0.0), offset)
 
 
+class _Chain(NamedTuple):
+    """Parameters of a sensor for the kernel, in the order of the signal path."""
+
+    quantum_efficiency: float
+    dark_e: float
+    shot_noise: bool
+    full_well_e: float
+    nonlinearity: float
+    read_noise_e: float
+    gain_dn_e: float
+    black_level_dn: float
+    most_dn: float
+
+
 def expose(
     sensor: Sensor, photons: F64, rng: np.random.Generator, pattern: FixedPattern | None = None
 ) -> U16:
@@ -346,31 +360,7 @@ def expose(
     number of threads.
     """
     pixels = None if pattern is None else (pattern.response, pattern.hot_e, pattern.offset_e)
-    light, grey = np.ascontiguousarray(photons), np.empty(photons.shape, dtype=np.uint16)
-    if _expose(light, pixels, draw_key(rng), _chain(sensor), grey):
-        raise InputError(
-            "illumination: photon counts must be finite and not negative; check the pulse energy "
-            "and the lights"
-        )
-    return grey
-
-
-class _Chain(NamedTuple):
-    """Parameters of a sensor for the kernel, in the order of the signal path."""
-
-    quantum_efficiency: float
-    dark_e: float
-    shot_noise: bool
-    full_well_e: float
-    nonlinearity: float
-    read_noise_e: float
-    gain_dn_e: float
-    black_level_dn: float
-    most_dn: float
-
-
-def _chain(sensor: Sensor) -> _Chain:
-    return _Chain(
+    chain = _Chain(
         sensor.quantum_efficiency,
         sensor.dark_current_e_s * sensor.exposure_s,
         sensor.shot_noise,
@@ -381,6 +371,13 @@ def _chain(sensor: Sensor) -> _Chain:
         sensor.black_level_dn,
         float((1 << sensor.bit_depth) - 1),
     )
+    light, grey = np.ascontiguousarray(photons), np.empty(photons.shape, dtype=np.uint16)
+    if _expose(light, pixels, draw_key(rng), chain, grey):
+        raise InputError(
+            "illumination: photon counts must be finite and not negative; check the pulse energy "
+            "and the lights"
+        )
+    return grey
 
 
 @numba.njit(cache=True, parallel=True)
