@@ -349,7 +349,7 @@ BUGS = (
     ),
     Bug(
         "mirror images as far behind the back wall as particles are before the front wall",
-        "sabench/simulation/rendering/light_routes.py",
+        "sabench/simulation/rendering/particle_images.py",
         "mirror_mm = inner_mm + wall.depth_mm\n",
         "mirror_mm = inner_mm\n",
         tests="tests/unit/simulation/rendering/test_light_routes.py",

@@ -12,7 +12,7 @@ from typing import overload
 import numpy as np
 
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.common_view import any_in_view
+from sabench.geometry.camera_model import any_in_view
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import UPRIGHT, Distortion

@@ -78,11 +78,6 @@ class Sensor(Table):
         converter = float((1 << self.bit_depth) - 1)
         return round(min(converter, self.black_level_dn + self.gain_dn_e * most))
 
-    @property
-    def has_pattern(self) -> bool:
-        """True if its pixels differ."""
-        return any((self.prnu, self.dsnu_e, self.hot_pixels, self.dead_pixels))
-
     def of_camera(self, number: int) -> Sensor:
         """Give the sensor of one camera, by its number in the rig.
 

@@ -18,8 +18,12 @@ from sabench.simulation.rendering import (
     targets_traced,
 )
 from sabench.simulation.rendering.bubble_stage import Lights, Tank
-from sabench.simulation.rendering.light_routes import Route, reflections
-from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
+from sabench.simulation.rendering.particle_images import (
+    ParticleImages,
+    Route,
+    image_particles,
+    reflections,
+)
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import expose, full_well_photons, make_pattern
 from sabench.utils.arrays import F64, U16
@@ -264,6 +268,6 @@ def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:
     if scene.sensor.camera_exposure is not None:
         photons = photons * scene.sensor.camera_exposure[camera]
     sensor, pattern = scene.sensor.of_camera(camera), None
-    if sensor.has_pattern:
+    if any((sensor.prnu, sensor.dsnu_e, sensor.hot_pixels, sensor.dead_pixels)):
         pattern = make_pattern(sensor, photons.shape, stream(seed, "sensor pattern", camera))
     return expose(sensor, photons, frame.sensor_noise(camera), pattern)

@@ -15,9 +15,8 @@ from sabench.geometry.rigid_motion import Pose
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
 from sabench.scenes.exposures import recorded_part
 from sabench.simulation.rendering.lamps import enter_fluid
-from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.simulation.rendering.particle_light import Scatterers, scatterers_of
-from sabench.simulation.rendering.pixel_truth import depth_of, meets
+from sabench.simulation.rendering.pixel_truth import BodySearch, depth_of, meets
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream

@@ -18,7 +18,6 @@ from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds.advection import check_inertia, move_particles, velocity_of
 from sabench.worlds.bubbles_and_bodies import Phases
-from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 
 _GOLDEN, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
@@ -41,6 +40,23 @@ def material_numbers(tracer: Tracer, seed: int, ids: I64) -> I64:
     bounds = np.cumsum([material.share for material in tracer.mixture])
     number = np.searchsorted(bounds, drawn, side="right") + 1
     return np.asarray(np.where(number > len(bounds), 0, number), dtype=np.int64)
+
+
+# The light that a sphere scatters in one direction changes with the last hundredth of a percent of
+# its diameter. Particles' diameters are rounded to a lattice, far finer than can be measured, so
+# that particles share scattering computed exactly.
+PER_OCTAVE = 2048  # 7 nm at 20 um
+_UNIT_MM = 1e-3
+
+
+def size_numbers(diameters_mm: F64) -> I64:
+    """Compute the numbers of the lattice's nearest diameters; that of 1 um is 0."""
+    return np.asarray(np.rint(PER_OCTAVE * np.log2(diameters_mm / _UNIT_MM)), dtype=np.int64)
+
+
+def lattice_diameters_mm(numbers: I64) -> F64:
+    """Compute the diameters of numbers."""
+    return np.asarray(_UNIT_MM * np.exp2(numbers / PER_OCTAVE))
 
 
 TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path

@@ -18,9 +18,9 @@ from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Layer, Wall, transmittance
 from sabench.scenes.illumination import Backlight, Lighting
 from sabench.simulation.rendering.lamps import Lamps, facing_of, place_lamps
-from sabench.simulation.rendering.mesh_intersection import mesh_of
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.simulation.rendering.particles_traced import balls, ellipsoids, glow_of
+from sabench.simulation.rendering.pixel_truth import mesh_of
 from sabench.utils import backend
 from sabench.utils.arrays import F64
 

@@ -2,7 +2,7 @@
 
 Source of the Mie series: Bohren and Huffman (1983), chapter 4 and appendix A. The scattering of one
 size is tabulated over angles where a particle of that size occurs. Sizes lie on a lattice
-(`worlds.library.size_lattice`), so that a particle's brightness is that of its own diameter,
+(`worlds.tracers`), so that a particle's brightness is that of its own diameter,
 independent of the other particles in the frame.
 """
 
@@ -21,8 +21,12 @@ from sabench.scenes import Scene
 from sabench.simulation.rendering.lamps import fluence
 from sabench.utils.arrays import C128, F32, F64, I64
 from sabench.utils.compiled import numba
-from sabench.worlds.library.sizes import PER_OCTAVE, lattice_diameters_mm, size_numbers
-from sabench.worlds.tracers import material_numbers
+from sabench.worlds.tracers import (
+    PER_OCTAVE,
+    lattice_diameters_mm,
+    material_numbers,
+    size_numbers,
+)
 
 _ROWS, _ANGLES = 512, 2048  # sizes and angles of one product of matrices
 

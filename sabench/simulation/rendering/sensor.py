@@ -140,21 +140,15 @@ def _try_normal(high: Any, low: Any) -> Any:
 
 @numba.njit(cache=True)
 def _normal(key: Any, column: Any, row: Any, purpose: Any, words: Any) -> Any:
-    """Draw a standard normal number; it takes the first two words."""
-    x, below = _try_normal(words[0], words[1])
-    if below:
-        return x
-    layer = np.intp(words[1] & _LAYER)
-    return math.copysign(_normal_at_edge(key, column, row, purpose, layer, abs(x)), x)
+    """Draw a standard normal number; it takes the first two words.
 
-
-@numba.njit(cache=True)
-def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x: float) -> Any:
-    """Draw on where a layer is not wholly below the density.
-
-    Source of the tail: G. Marsaglia, Technometrics 6, 101-102 (1964).
+    Other blocks decide where a layer is not wholly below the density. Source of the tail:
+    G. Marsaglia, Technometrics 6, 101-102 (1964).
     """
-    attempt = np.uint64(0)
+    first, below = _try_normal(words[0], words[1])
+    if below:
+        return first
+    layer, x, attempt = np.intp(words[1] & _LAYER), abs(first), np.uint64(0)
     while True:
         attempt += _ONE
         words = block(key, column, row, attempt, purpose)
@@ -162,32 +156,27 @@ def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x
         if layer == 0:
             beyond = -math.log1p(-_uniform(words[0], words[1])) / _EDGE
             if -2.0 * math.log1p(-u) > beyond * beyond:
-                return _EDGE + beyond
+                return math.copysign(_EDGE + beyond, first)
             continue
         low, high = _HEIGHTS[layer], _HEIGHTS[layer + 1]
         if low + u * (high - low) < math.exp(-0.5 * x * x):
-            return x
+            return math.copysign(x, first)
         layer = np.intp(words[1] & _LAYER)
         x = _uniform(words[0], words[1]) * _EDGES[layer]
         if x < _EDGES[layer + 1]:
-            return x
+            return math.copysign(x, first)
 
 
 @numba.njit(cache=True)
 def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
     """Draw a Poisson number."""
-    if mean * _PER_UNIT < 1.0:
-        return _invert(_uniform(words[0], words[1]), mean)
-    if mean < _LARGE:
-        return _look_up(words, mean)
-    return _near_normal(key, column, row, words, mean)
-
-
-@numba.njit(cache=True)
-def _look_up(words: Any, mean: float) -> Any:
-    """Draw from a tabulated distribution, and add a number of the rest of the mean."""
-    cell = np.uintp(np.intp(mean * _PER_UNIT))
+    if mean >= _LARGE:
+        return _near_normal(key, column, row, words, mean)
     u = _uniform(words[0], words[1])
+    if mean * _PER_UNIT < 1.0:
+        return _invert(u, mean)
+    # from a tabulated distribution, and a number of the rest of the mean
+    cell = np.uintp(np.intp(mean * _PER_UNIT))
     k = np.uintp(_STARTS[cell, np.uintp(np.intp(u * _CELLS))])
     while u >= _DISTRIBUTIONS[cell, k]:
         k += _ONE
@@ -222,17 +211,6 @@ def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> An
         return k
     if k >= 0.0 and (1.0 - u) * _normal_share(k, mean, root) <= _chance(k, mean):
         return k
-    return _from_rest(key, column, row, mean, root)
-
-
-@numba.njit(cache=True, inline="always")
-def _is_near(k: float, mean: float, u: float) -> Any:
-    short = mean - k
-    return short * short * short <= 6.0 * mean * mean * u
-
-
-@numba.njit(cache=True)
-def _from_rest(key: Any, column: Any, row: Any, mean: float, root: float) -> Any:
     attempt = np.uint64(0)
     while True:
         words = block(key, column, row, attempt, _REST)
@@ -244,6 +222,12 @@ def _from_rest(key: Any, column: Any, row: Any, mean: float, root: float) -> Any
         lacking = (_chance(k, mean) - _normal_share(k, mean, root)) if t > -0.6744 else 0.0
         if 0.1069 * abs(side) < lacking * mean * math.exp(away):
             return k
+
+
+@numba.njit(cache=True, inline="always")
+def _is_near(k: float, mean: float, u: float) -> Any:
+    short = mean - k
+    return short * short * short <= 6.0 * mean * mean * u
 
 
 @numba.njit(cache=True)
@@ -263,15 +247,13 @@ def _chance(k: float, mean: float) -> Any:
     """
     if k == 0.0:
         return math.exp(-mean)
-    return math.exp(-_stirling_error(k) - _deviance(k, mean)) / math.sqrt(2.0 * math.pi * k)
-
-
-@numba.njit(cache=True)
-def _stirling_error(k: float) -> Any:
     if k < _SERIES:
-        return _ERRORS[np.intp(k)]
-    square = 1.0 / (k * k)
-    return (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0))) / k
+        error = _ERRORS[np.intp(k)]
+    else:  # Stirling's
+        square = 1.0 / (k * k)
+        series = 1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)
+        error = (1.0 / 12.0 - square * series) / k
+    return math.exp(-error - _deviance(k, mean)) / math.sqrt(2.0 * math.pi * k)
 
 
 @numba.njit(cache=True)
@@ -399,7 +381,15 @@ def _expose_rows(
     blocks = np.empty((4, columns), np.uint32)
     for row in range(first, last):
         counter = np.uint64(row)
-        wrong += _fill_means(photons, pixels, chain, row, means)
+        for column in range(columns):
+            mean = chain.quantum_efficiency * photons[row, column]
+            if pixels is None:
+                mean += chain.dark_e
+            else:
+                mean = pixels[0][row, column] * mean + pixels[1][row, column]
+                mean += chain.dark_e * (pixels[0][row, column] > 0.0)
+            wrong += not 0.0 <= mean < np.inf
+            means[column] = min(mean, _MOST_E)
         if chain.shot_noise and wrong == 0:
             fill_blocks(key, start, counter, start, SHOT, blocks)
             fill_poisson(key, counter, blocks, means, signal)
@@ -409,33 +399,13 @@ def _expose_rows(
         if chain.read_noise_e > 0.0:
             fill_blocks(key, start, counter, start, READ, blocks)
             fill_normals(key, counter, blocks, noise)
-        _fill_grey(signal, noise, pixels, chain, row, grey)
+        for column in range(columns):
+            value = min(signal[column], chain.full_well_e)
+            if chain.nonlinearity > 0.0:
+                value *= 1.0 - chain.nonlinearity * (value / chain.full_well_e) ** 2
+            if pixels is not None:
+                value += pixels[2][row, column]
+            value += chain.read_noise_e * noise[column]
+            value = np.rint(value * chain.gain_dn_e + chain.black_level_dn)
+            grey[row, column] = np.uint16(min(max(value, 0.0), chain.most_dn))
     return wrong
-
-
-@numba.njit(cache=True)
-def _fill_means(photons: Any, pixels: Any, chain: Any, row: Any, means: Any) -> Any:
-    wrong = 0
-    for column in range(len(means)):
-        mean = chain.quantum_efficiency * photons[row, column]
-        if pixels is None:
-            mean += chain.dark_e
-        else:
-            mean = pixels[0][row, column] * mean + pixels[1][row, column]
-            mean += chain.dark_e * (pixels[0][row, column] > 0.0)
-        wrong += not 0.0 <= mean < np.inf
-        means[column] = min(mean, _MOST_E)
-    return wrong
-
-
-@numba.njit(cache=True)
-def _fill_grey(signal: Any, noise: Any, pixels: Any, chain: Any, row: Any, grey: Any) -> None:
-    for column in range(len(signal)):
-        value = min(signal[column], chain.full_well_e)
-        if chain.nonlinearity > 0.0:
-            value *= 1.0 - chain.nonlinearity * (value / chain.full_well_e) ** 2
-        if pixels is not None:
-            value += pixels[2][row, column]
-        value += chain.read_noise_e * noise[column]
-        value = np.rint(value * chain.gain_dn_e + chain.black_level_dn)
-        grey[row, column] = np.uint16(min(max(value, 0.0), chain.most_dn))
