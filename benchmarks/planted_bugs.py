@@ -201,8 +201,8 @@ BUGS = (
     Bug(
         "Mie's lobes rotated by a degree",
         "sabench/simulation/rendering/particle_light.py",
-        "np.arccos(np.clip(-arriving @ forward, -1.0, 1.0))",
-        "np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)) + np.deg2rad(1.0)",
+        "np.arccos(np.clip(-arriving @ unit(direction), -1.0, 1.0))",
+        "np.arccos(np.clip(-arriving @ unit(direction), -1.0, 1.0)) + np.deg2rad(1.0)",
         case="particles",
     ),
     Bug(

@@ -151,18 +151,14 @@ def _mark_hot(light: Any, least: float, narrow: float, margin: float, points: An
     for r in range(rows):
         for c in range(columns):
             here = light[r, c]
-            if here <= least or not _is_narrow(light, r, c, narrow, margin):
+            if here <= least or not _dim_side(light, r, c) + margin < narrow * here:
                 continue
             y, x, most = r, c, -np.inf  # the brightest of the four neighbours
             for i, j in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
                 if 0 <= i < rows and 0 <= j < columns and light[i, j] > most:
                     y, x, most = i, j, light[i, j]
-            points[r, c] = most <= max(here, least) or _is_narrow(light, y, x, narrow, margin)
-
-
-@numba.njit(cache=True)
-def _is_narrow(light: Any, r: int, c: int, narrow: float, margin: float) -> bool:
-    return bool(_dim_side(light, r, c) + margin < narrow * light[r, c])
+            narrower = _dim_side(light, y, x) + margin < narrow * light[y, x]
+            points[r, c] = most <= max(here, least) or narrower
 
 
 @numba.njit(cache=True)

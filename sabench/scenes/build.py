@@ -24,7 +24,7 @@ from sabench.scenes.focusing import focus, tilt_sensor
 from sabench.scenes.illumination import Backlight
 from sabench.scenes.scene import Scene
 from sabench.scenes.wall import CylinderSpec, WallSpec, WallTable, wall_tables
-from sabench.utils.arrays import F64, triple
+from sabench.utils.arrays import F64, triple, unit
 from sabench.utils.errors import InputError
 from sabench.utils.validation import Collector
 
@@ -40,10 +40,9 @@ def build_wall(spec: WallSpec | CylinderSpec) -> TankWall:
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
     media = (spec.air_index, layers, spec.fluid_index)
     if isinstance(spec, CylinderSpec):
-        axis = triple(np.asarray(spec.axis) / np.linalg.norm(spec.axis))
+        axis = triple(unit(spec.axis))
         return CylinderWall(spec.axis_point_mm, axis, spec.outer_radius_mm, *media)
-    unit = triple(np.asarray(spec.normal) / np.linalg.norm(spec.normal))
-    return Wall(spec.point_mm, unit, *media, spec.depth_mm)
+    return Wall(spec.point_mm, triple(unit(spec.normal)), *media, spec.depth_mm)
 
 
 def build_walls(wall: WallTable | None) -> tuple[TankWall, ...]:
@@ -298,7 +297,7 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         check_tank(walls, corners)  # cameras are aimed at the volume: not built if it fails
         cameras = _build_cameras(scene, walls, corners)
         discs = tuple(
-            Disc(spec.center_mm, triple(_unit(spec.normal)), spec.radius_mm)
+            Disc(spec.center_mm, triple(unit(spec.normal)), spec.radius_mm)
             for spec in scene.occluders or ()
         )
         for number, disc in enumerate(discs):
@@ -341,16 +340,12 @@ def domain_of(scene: Scene) -> Domain:
     )
 
 
-def _unit(vector: tuple[float, float, float]) -> F64:
-    return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
-
-
 def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> tuple[Camera, ...]:
     cameras, check, array = [], Collector(""), scene.cameras
     if isinstance(array.layout, ListLayout):
         places = list(array.layout.places)
     else:
-        axes = np.stack([_unit(array.x_axis), _unit(array.y_axis)])
+        axes = np.stack([unit(array.x_axis), unit(array.y_axis)])
         centers = np.asarray(array.center_mm) + offsets_of(array.layout) @ axes
         places = [Place(center_mm=triple(center)) for center in centers]
     for number, place in enumerate(places):
@@ -408,5 +403,5 @@ def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: P
             raise InputError(f"{where}: expected a right-handed matrix, got a mirrored one")
     camera = focus(camera, target, spec.focus_mm)
     if camera_spec.tilt_deg is None and spec.focus_normal is not None:
-        return tilt_sensor(camera, target, _unit(spec.focus_normal))
+        return tilt_sensor(camera, target, unit(spec.focus_normal))
     return camera

@@ -78,6 +78,11 @@ class Sensor(Table):
         converter = float((1 << self.bit_depth) - 1)
         return round(min(converter, self.black_level_dn + self.gain_dn_e * most))
 
+    @property
+    def full_well_photons(self) -> float:
+        """Mean number of photons that fill a pixel's well."""
+        return self.full_well_e / self.quantum_efficiency
+
     def of_camera(self, number: int) -> Sensor:
         """Give the sensor of one camera, by its number in the rig.
 

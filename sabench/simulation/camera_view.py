@@ -25,7 +25,7 @@ from sabench.simulation.rendering.particle_images import (
     reflections,
 )
 from sabench.simulation.rendering.pixel_truth import see
-from sabench.simulation.rendering.sensor import expose, full_well_photons, make_pattern
+from sabench.simulation.rendering.sensor import expose, make_pattern
 from sabench.utils.arrays import F64, U16
 from sabench.utils.rng import stream
 
@@ -119,7 +119,7 @@ def render_camera_view(frame: FrameContent, camera: int) -> CameraView:
         saturation = targets_traced.render(
             lens, frame.target, frame.pose, scene.lighting, center, samples
         )
-        return CameraView(lens, full_well_photons(scene.sensor) * saturation)
+        return CameraView(lens, scene.sensor.full_well_photons * saturation)
     if frame.bubbles is not None:
         return _render_bubbles(frame, frame.bubbles, camera)
     if frame.tracers is None:
@@ -128,7 +128,8 @@ def render_camera_view(frame: FrameContent, camera: int) -> CameraView:
     if tracers.exposed is not None:  # the camera records a part of the pulse
         particles, positions, share = tracers.exposed(camera)
         tracers = replace(tracers, particles=particles, positions_mm=positions, share=share)
-    images = _image(frame, tracers, lens)
+    given = tracers.particles, tracers.scatterers, frame.rig.occluders_of(lens)
+    images = image_particles(scene, lens, *given, None, tracers.share)
     if scene.cameras.airy_rings:
         photons = particles_splatted.render_with_rings(
             lens, scene.light.wavelength_nm, lambda fine: _expose(frame, tracers, fine)
@@ -145,20 +146,21 @@ def _expose(
 
     `known` are the images on the direct route at the middle of the pulse, if already computed.
     """
-    scene, routes = frame.scene, [Route(camera.wall)]
+    scene, routes, occluders = frame.scene, [Route(camera.wall)], frame.rig.occluders_of(camera)
     if scene.plane is not None and scene.plane.mirrors and isinstance(camera.wall, Wall):
         rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear)
         routes += reflections(camera.wall, rear)
     total = None
     for positions in tracers.positions_mm:
-        middle, moment = positions is tracers.particles.position_mm, tracers
+        middle, moment = positions is tracers.particles.position_mm, tracers.particles
         if not middle:
-            moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
+            moment = replace(moment, position_mm=positions)
         for route in routes:
             if known is not None and middle and not route.faces:
                 images = known
             else:
-                images = _image(frame, moment, camera, route)
+                given = moment, tracers.scatterers, occluders, route, tracers.share
+                images = image_particles(scene, camera, *given)
             unfolded = route.behind(camera)
             if frame.renderer == "splat":
                 photons = particles_splatted.render(unfolded, images)
@@ -173,22 +175,6 @@ def _expose(
             total = photons if total is None else total + photons
     assert total is not None
     return total / len(tracers.positions_mm)
-
-
-def _image(
-    frame: FrameContent, tracers: Tracers, camera: Camera, route: Route | None = None
-) -> ParticleImages:
-    occluders = frame.rig.occluders_of(camera)
-    given = (tracers.particles, tracers.scatterers, occluders, route)
-    images = image_particles(frame.scene, camera, *given)
-    if tracers.share == 1.0:
-        return images
-    return replace(
-        images,
-        photons=images.photons * tracers.share,
-        intensity=images.intensity * tracers.share,
-        visible=images.visible & (tracers.share > 0.0),
-    )
 
 
 def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:
@@ -216,7 +202,8 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
     if frame.tracers is None:
         return CameraView(camera, shown.photons, sight=sight)
     tracers = frame.tracers
-    images = _image(frame, tracers, camera)
+    given = tracers.particles, tracers.scatterers, frame.rig.occluders_of(camera)
+    images = image_particles(scene, camera, *given)
     lit = True if tracers.illuminated is None else tracers.illuminated
     images = replace(
         images,
@@ -251,7 +238,7 @@ def tank_of(scene: Scene) -> Tank:
 def lights_of(scene: Scene) -> Lights:
     """Return the lights of a scene without the laser."""
     center = np.asarray(scene.volume.center_mm)
-    return Lights(scene.backlight, scene.lighting, center, full_well_photons(scene.sensor))
+    return Lights(scene.backlight, scene.lighting, center, scene.sensor.full_well_photons)
 
 
 def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:
@@ -264,7 +251,7 @@ def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:
     if scene.background is not None:
         light = static_light(scene.background, photons.shape, stream(seed, "background", camera))
         brightness = flicker(scene.background, stream(seed, "flicker", frame.number))
-        photons = photons + brightness * full_well_photons(scene.sensor) * light
+        photons = photons + brightness * scene.sensor.full_well_photons * light
     if scene.sensor.camera_exposure is not None:
         photons = photons * scene.sensor.camera_exposure[camera]
     sensor, pattern = scene.sensor.of_camera(camera), None

@@ -443,11 +443,13 @@ def image_particles(
     scatterers: Scatterers | None,
     occluders: tuple[Disc, ...] = (),
     route: Route | None = None,
+    share: float = 1.0,
 ) -> ParticleImages:
     """Compute position, brightness and size of every particle's image.
 
     By default the route is the direct one. On a route with reflections, all is that of the unfolded
-    particle, given by `Route.place` and `Route.behind`; the light is that of the particle.
+    particle, given by `Route.place` and `Route.behind`; the light is that of the particle. The
+    camera records a share of the pulse.
 
     Photons = fluence (`lamps.fluence`) x scattered share per solid angle (`intensity`) x solid
     angle of the lens x Fresnel transmission of the wall (`find_paths` has both). The image is
@@ -470,7 +472,7 @@ def image_particles(
     leaving = route.at_particle(seen.arriving)
     sent = intensity(scene, particles, leaving, seen.half_angle, scatterers)
     sent *= route.reflected(seen.leaving)
-    photons = np.where(unobstructed, sent * seen.solid_angle * seen.passed, 0.0)
+    photons = np.where(unobstructed, sent * seen.solid_angle * seen.passed, 0.0) * share
     given = scene.cameras.particle_sigma_px
     spread = (
         _spread_px2(scene, camera, particles.diameter_mm, seen)
@@ -478,8 +480,8 @@ def image_particles(
         else np.tile([given**2, given**2, 0.0], (len(particles), 1))
     )
     sigma = (spread[:, 0] * spread[:, 1] - spread[:, 2] ** 2) ** 0.25
-    visible = unobstructed & camera.contains(seen.pixel)
-    return ParticleImages(seen.pixel, photons, sigma, visible, sent, seen.arriving, spread)
+    visible = unobstructed & camera.contains(seen.pixel) & (share > 0.0)
+    return ParticleImages(seen.pixel, photons, sigma, visible, sent * share, seen.arriving, spread)
 
 
 def _spread_px2(scene: Scene, camera: Camera, diameter_mm: F64, seen: LightPaths) -> F64:

@@ -19,7 +19,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import trace_to_points
 from sabench.scenes import Scene
 from sabench.simulation.rendering.lamps import fluence
-from sabench.utils.arrays import C128, F32, F64, I64
+from sabench.utils.arrays import C128, F32, F64, I64, unit
 from sabench.utils.compiled import numba
 from sabench.worlds.tracers import (
     PER_OCTAVE,
@@ -393,8 +393,8 @@ def intensity(
     in_plane = np.full(len(particles), 0.5)
     if light.polarisation is not None:
         towards = -arriving
-        along = np.asarray(light.direction) / np.linalg.norm(light.direction)
-        field = np.asarray(light.polarisation) / np.linalg.norm(light.polarisation)
+        along = unit(light.direction)
+        field = unit(light.polarisation)
         across = towards - (towards @ along)[:, None] * along
         length = np.einsum("ij,ij->i", across, across)
         in_plane = np.asarray((across @ field) ** 2 / np.maximum(length, 1e-300))
@@ -417,7 +417,7 @@ def _transmission(
         cross_section = scatterers.extinction_mm2(particles)
     size = np.asarray(scene.volume.size_mm)
     per_mm = cross_section.sum() / size.prod()
-    along = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
+    along = unit(scene.light.direction)
     place = particles.position_mm - np.asarray(scene.volume.center_mm)
     path = _way_out(place, np.broadcast_to(-along, place.shape), size)
     return np.asarray(np.exp(-per_mm * (path + _way_out(place, -arriving, size))))
@@ -454,5 +454,4 @@ def _angle_range(
 
 
 def _scattering_angles(direction: tuple[float, ...], arriving: F64) -> F64:
-    forward = np.asarray(direction) / np.linalg.norm(direction)
-    return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))
+    return np.asarray(np.arccos(np.clip(-arriving @ unit(direction), -1.0, 1.0)))

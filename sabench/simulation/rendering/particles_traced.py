@@ -69,10 +69,7 @@ def render(
     image = np.zeros(camera.rows * camera.columns)
     areas = np.maximum(high - low + 1, 0).prod(axis=1)
     for some in in_portions(areas, _AT_ONCE):  # memory does not grow with what particles light up
-        starts = np.zeros(image.size + 1, dtype=np.int64)
-        _count_boxes(low, high, some, camera.columns, starts)
-        near = np.empty(starts[-1], dtype=np.int64)
-        _fill_boxes(low, high, some, camera.columns, starts.copy(), near)
+        starts, near = _list_boxes(low, high, some, camera.columns, image.size)
         lit = np.flatnonzero(np.diff(starts))
         given = camera, origin, cloud, len(walls), (lit, starts, near)
         image[lit] += particle_integrator.integrate_particles(
@@ -82,25 +79,23 @@ def render(
 
 
 @numba.njit(cache=True)
-def _count_boxes(low: Any, high: Any, some: Any, columns: int, starts: Any) -> None:
-    """Fill in where each pixel's boxes start."""
+def _list_boxes(low: Any, high: Any, some: Any, columns: int, pixels: int) -> Any:
+    """List the boxes on each pixel: where its numbers start (pixels + 1,), and all numbers."""
+    starts = np.zeros(pixels + 1, np.int64)
     for n in some:
         for row in range(low[n, 1], high[n, 1] + 1):
             for column in range(low[n, 0], high[n, 0] + 1):
                 starts[row * columns + column + 1] += 1
-    for place in range(len(starts) - 1):
+    for place in range(pixels):
         starts[place + 1] += starts[place]
-
-
-@numba.njit(cache=True)
-def _fill_boxes(low: Any, high: Any, some: Any, columns: int, place: Any, near: Any) -> None:
-    """Fill in the numbers of boxes; places are where each pixel's start, and move on."""
+    near, ends = np.empty(starts[-1], np.int64), starts.copy()
     for n in some:
         for row in range(low[n, 1], high[n, 1] + 1):
             for column in range(low[n, 0], high[n, 0] + 1):
                 pixel = row * columns + column
-                near[place[pixel]] = n
-                place[pixel] += 1
+                near[ends[pixel]] = n
+                ends[pixel] += 1
+    return starts, near
 
 
 def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F64, F64, F64]:

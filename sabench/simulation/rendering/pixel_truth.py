@@ -37,7 +37,14 @@ def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight
     near, number = np.full(shape, np.inf, dtype=np.float32), np.full(shape, NOTHING, dtype=np.int32)
     if bodies:
         _bodies(starts, directions, bodies, near, number)
-    boxes = _boxes(contour, shape)
+    # first and last rows, then columns, of the finer lines that may meet a bubble
+    boxes = np.zeros((len(contour), 4), dtype=np.int32)
+    known = np.isfinite(contour).all(axis=(1, 2))
+    edges = contour[known].min(axis=1), contour[known].max(axis=1)
+    low, high = ((np.asarray(edge) + 0.5) * _FINER for edge in edges)
+    for side, (axis, limit) in enumerate(((1, shape[0]), (0, shape[1]))):
+        boxes[known, 2 * side] = np.clip(np.floor(low[:, axis]) - 2, 0, limit)
+        boxes[known, 2 * side + 1] = np.clip(np.ceil(high[:, axis]) + 2, 0, limit)
     whole = np.zeros(len(bubbles), dtype=np.int64)
     _cover(starts, directions, bubbles.center_mm, bubbles.to_ball, boxes, near, number, whole)
     seen = np.bincount(number[number >= 0], minlength=len(bubbles))[: len(bubbles)]
@@ -45,16 +52,9 @@ def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight
     first, distance = number[middle, middle].copy(), near[middle, middle].astype(np.float64)
     distance[first == NOTHING] = np.nan
     positions = starts + directions * distance[..., None]
-    depth, path = depth_of(camera, positions), before.reshape(row.shape) + distance
-    visible = _shares(seen, whole, contour)
-    return Sight(
-        first,
-        depth.astype(np.float32),
-        path.astype(np.float32),
-        visible,
-        pixel,
-        contour.astype(np.float32),
-    )
+    given = depth_of(camera, positions), before.reshape(row.shape) + distance, contour
+    depth, path, outline = (one.astype(np.float32) for one in given)
+    return Sight(first, depth, path, _shares(seen, whole, contour), pixel, outline)
 
 
 def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
@@ -106,23 +106,6 @@ def depth_of(camera: Camera, places_mm: F64) -> F64:
     if camera.wall:
         return camera.wall.depth_of(places_mm)
     return np.asarray((places_mm - np.asarray(camera.center_mm)) @ np.asarray(camera.rotation)[2])
-
-
-def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
-    """Compute bounding boxes of the finer lines of sight that may meet a bubble.
-
-    (n, 4). First and last rows, then columns; empty outside the image.
-    """
-    boxes = np.zeros((len(contour), 4), dtype=np.int32)
-    known = np.isfinite(contour).all(axis=(1, 2))
-    low, high = (
-        (np.asarray(edge) + 0.5) * _FINER
-        for edge in (contour[known].min(axis=1), contour[known].max(axis=1))
-    )
-    for side, (axis, limit) in enumerate(((1, shape[0]), (0, shape[1]))):
-        boxes[known, 2 * side] = np.clip(np.floor(low[:, axis]) - 2, 0, limit)
-        boxes[known, 2 * side + 1] = np.clip(np.ceil(high[:, axis]) + 2, 0, limit)
-    return boxes
 
 
 def _shares(seen: Any, whole: Any, contour: F64) -> F64:

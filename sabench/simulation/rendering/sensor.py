@@ -96,25 +96,20 @@ def fill_poisson(key: Any, row: Any, blocks: Any, means: Any, numbers: Any) -> N
 
     Means are at most 1e15. Works as `fill_normals` does.
     """
-    for column in range(len(means)):
-        numbers[column] = _try_poisson(blocks, column, means[column])
+    for column in range(len(means)):  # 0 or a nearly normal number
+        mean = means[column]
+        w0, w1 = np.uint64(blocks[0, column]), np.uint64(blocks[1, column])
+        x, below = _try_normal(w0, w1)
+        k = np.floor(mean + math.sqrt(mean) * x)
+        v = _uniform(np.uint64(blocks[2, column]), np.uint64(blocks[3, column]))
+        quick = below and _is_near(k, mean, v)
+        large = k if quick else np.nan
+        small = 0.0 if mean * _PER_UNIT < 1.0 and _uniform(w0, w1) < 1.0 - mean else np.nan
+        numbers[column] = large if mean >= _LARGE else small
     for column in range(len(means)):
         if np.isnan(numbers[column]):
             words = _words(blocks, column)
             numbers[column] = _poisson(key, np.uint64(column), row, words, means[column])
-
-
-@numba.njit(cache=True, inline="always")
-def _try_poisson(blocks: Any, column: int, mean: float) -> Any:
-    """Draw 0 or a nearly normal number; NaN where that takes a closer look."""
-    w0, w1 = np.uint64(blocks[0, column]), np.uint64(blocks[1, column])
-    x, below = _try_normal(w0, w1)
-    k = np.floor(mean + math.sqrt(mean) * x)
-    v = _uniform(np.uint64(blocks[2, column]), np.uint64(blocks[3, column]))
-    quick = below and _is_near(k, mean, v)
-    large = k if quick else np.nan
-    small = 0.0 if mean * _PER_UNIT < 1.0 and _uniform(w0, w1) < 1.0 - mean else np.nan
-    return large if mean >= _LARGE else small
 
 
 @numba.njit(cache=True)
@@ -273,11 +268,6 @@ def _deviance(k: float, mean: float) -> Any:
 _HOT = 0.5  # of the full well: mean signal of hot pixels
 _ROWS = 16  # of a part of an image
 _MOST_E = 1e15  # electrons: more than any well holds, and few enough to be counted exactly
-
-
-def full_well_photons(sensor: Sensor) -> float:
-    """Compute the mean number of photons that fill a pixel's well."""
-    return sensor.full_well_e / sensor.quantum_efficiency
 
 
 @dataclass(frozen=True)
