@@ -1,5 +1,6 @@
 """View of one camera: photons, background light, truth, grey values."""
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -178,30 +179,27 @@ def _expose(
 
 
 def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:
-    scene, camera = frame.scene, frame.rig.cameras[number]
-    tank = tank_of(scene)
+    scene, camera, tracers = frame.scene, frame.rig.cameras[number], frame.tracers
     seed = int(stream(frame.seed, "light paths", frame.number, number).integers(1 << 20))
     lights, sight = lights_of(scene), see(camera, bubbles, frame.solids)
     from scipy.ndimage import maximum_filter  # takes long to load
 
-    # the error counts in pixels that show bubbles or bodies, or are next to them
-    counted = np.asarray(maximum_filter(sight.number != NOTHING, 3))
-    shown = bubbles_traced.render(
+    render = functools.partial(
+        bubbles_traced.render,
         camera,
-        tank,
+        tank_of(scene),
         bubbles,
         frame.bodies,
-        lights,
-        scene.render.relative_error or _ERROR,
-        seed,
-        counted=counted,
         occluders=frame.rig.occluders,
-        exposure_s=scene.sensor.exposure_s,
+        # the error counts in pixels that show bubbles or bodies, or are next to them
+        counted=np.asarray(maximum_filter(sight.number != NOTHING, 3)),
     )
+    error, exposure_s = scene.render.relative_error or _ERROR, scene.sensor.exposure_s
+    shown = render(lights, error, seed, exposure_s=exposure_s)
     sight = replace(sight, error=shown.error)
-    if frame.tracers is None:
+    if tracers is None:
         return CameraView(camera, shown.photons, sight=sight)
-    tracers = frame.tracers
+    places = tracers.particles.position_mm
     given = tracers.particles, tracers.scatterers, frame.rig.occluders_of(camera)
     images = image_particles(scene, camera, *given)
     lit = True if tracers.illuminated is None else tracers.illuminated
@@ -209,22 +207,10 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
         images,
         photons=images.photons * lit,
         intensity=images.intensity * lit,
-        visible=images.visible
-        & ~find_hidden(camera, tracers.particles.position_mm, images.pixel, sight),
+        visible=images.visible & ~find_hidden(camera, places, images.pixel, sight),
     )
-    glow = bubbles_traced.render(
-        camera,
-        tank,
-        bubbles,
-        frame.bodies,
-        replace(lights, backlight=None, lighting=None),
-        _GLOW_ERROR,
-        seed + (1 << 20),
-        counted=counted,
-        occluders=frame.rig.occluders,
-        images=images,
-        particles_mm=tracers.particles.position_mm,
-    )
+    dark, seed = replace(lights, backlight=None, lighting=None), seed + (1 << 20)
+    glow = render(dark, _GLOW_ERROR, seed, images=images, particles_mm=places)
     photons = shown.photons + glow.photons
     return CameraView(camera, photons, particles=images, sight=sight)
 

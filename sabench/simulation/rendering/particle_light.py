@@ -52,7 +52,11 @@ def intensities(index: complex, size_parameters: F64, angles_rad: F64) -> tuple[
         for left in range(0, len(angles_rad), _ANGLES):
             columns = slice(left, left + _ANGLES)
             pi, tau = _angular_functions(np.cos(angles_rad[columns]), a.shape[1])
-            total, difference = _product(a + b, pi + tau), _product(a - b, pi - tau)
+            sums = []  # complex matrices times real ones
+            for series, functions in ((a + b, pi + tau), (a - b, pi - tau)):
+                parts = np.concatenate([series.real, series.imag]) @ functions
+                sums.append(parts[: len(series)] + 1j * parts[len(series) :])
+            total, difference = sums
             across[rows, columns] = np.abs(total + difference) ** 2 / 4.0
             along[rows, columns] = np.abs(total - difference) ** 2 / 4.0
     return across, along
@@ -126,12 +130,6 @@ def _angular_functions(cosines: F64, count: int) -> tuple[F64, F64]:
             pi[n] = ((2 * n + 1) * cosines * pi[n - 1] - (n + 1) * before) / n
             before = pi[n - 1]
     return pi, tau
-
-
-def _product(series: C128, functions: F64) -> C128:
-    """Multiply a complex matrix by a real one."""
-    parts = np.concatenate([series.real, series.imag]) @ functions
-    return np.asarray(parts[: len(series)] + 1j * parts[len(series) :])
 
 
 _PER_LOBE = 12  # angles for the narrowest lobe, of a width of wavelength / diameter
@@ -419,17 +417,14 @@ def _transmission(
     per_mm = cross_section.sum() / size.prod()
     along = unit(scene.light.direction)
     place = particles.position_mm - np.asarray(scene.volume.center_mm)
-    path = _way_out(place, np.broadcast_to(-along, place.shape), size)
-    return np.asarray(np.exp(-per_mm * (path + _way_out(place, -arriving, size))))
-
-
-def _way_out(place_mm: F64, direction: F64, size_mm: F64) -> F64:
-    """Compute distances (n,) to the faces of a box about the origin; 0 outside."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = (np.copysign(size_mm / 2.0, direction) - place_mm) / direction
-    distance = np.where(direction == 0.0, np.inf, distance)
-    inside = (np.abs(place_mm) <= size_mm / 2.0).all(axis=1)
-    return np.asarray(np.where(inside, distance.min(axis=1), 0.0))
+    inside = (np.abs(place) <= size / 2.0).all(axis=1)
+    path = np.zeros(len(place))  # to the faces of the volume, without what is outside
+    for direction in (np.broadcast_to(-along, place.shape), -arriving):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (np.copysign(size / 2.0, direction) - place) / direction
+        distance = np.where(direction == 0.0, np.inf, distance)
+        path += np.where(inside, distance.min(axis=1), 0.0)
+    return np.asarray(np.exp(-per_mm * path))
 
 
 def _angle_range(

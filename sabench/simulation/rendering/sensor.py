@@ -102,7 +102,8 @@ def fill_poisson(key: Any, row: Any, blocks: Any, means: Any, numbers: Any) -> N
         x, below = _try_normal(w0, w1)
         k = np.floor(mean + math.sqrt(mean) * x)
         v = _uniform(np.uint64(blocks[2, column]), np.uint64(blocks[3, column]))
-        quick = below and _is_near(k, mean, v)
+        short = mean - k
+        quick = below and short * short * short <= 6.0 * mean * mean * v
         large = k if quick else np.nan
         small = 0.0 if mean * _PER_UNIT < 1.0 and _uniform(w0, w1) < 1.0 - mean else np.nan
         numbers[column] = large if mean >= _LARGE else small
@@ -202,7 +203,8 @@ def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> An
     root = math.sqrt(mean)
     k = np.floor(mean + root * _normal(key, column, row, SHOT, words))
     u = _uniform(words[2], words[3])
-    if _is_near(k, mean, u) or k >= np.floor(mean - 1.1484):
+    short = mean - k
+    if short * short * short <= 6.0 * mean * mean * u or k >= np.floor(mean - 1.1484):
         return k
     if k >= 0.0 and (1.0 - u) * _normal_share(k, mean, root) <= _chance(k, mean):
         return k
@@ -217,12 +219,6 @@ def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> An
         lacking = (_chance(k, mean) - _normal_share(k, mean, root)) if t > -0.6744 else 0.0
         if 0.1069 * abs(side) < lacking * mean * math.exp(away):
             return k
-
-
-@numba.njit(cache=True, inline="always")
-def _is_near(k: float, mean: float, u: float) -> Any:
-    short = mean - k
-    return short * short * short <= 6.0 * mean * mean * u
 
 
 @numba.njit(cache=True)
@@ -248,21 +244,15 @@ def _chance(k: float, mean: float) -> Any:
         square = 1.0 / (k * k)
         series = 1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)
         error = (1.0 / 12.0 - square * series) / k
-    return math.exp(-error - _deviance(k, mean)) / math.sqrt(2.0 * math.pi * k)
-
-
-@numba.njit(cache=True)
-def _deviance(k: float, mean: float) -> Any:
-    """Compute k log(k / mean) + mean - k."""
-    ratio = (k - mean) / (k + mean)
+    ratio = (k - mean) / (k + mean)  # of the deviance k log(k / mean) + mean - k
     if abs(ratio) > 0.1:
-        return k * math.log(k / mean) + mean - k
-    total, term, n = (k - mean) * ratio, 2.0 * k * ratio, 1.0
-    while True:
-        term, n = term * ratio * ratio, n + 2.0
-        before, total = total, total + term / n
-        if total == before:
-            return total
+        deviance = k * math.log(k / mean) + mean - k
+    else:
+        deviance, term, n, before = (k - mean) * ratio, 2.0 * k * ratio, 1.0, np.inf
+        while deviance != before:
+            term, n = term * ratio * ratio, n + 2.0
+            before, deviance = deviance, deviance + term / n
+    return math.exp(-error - deviance) / math.sqrt(2.0 * math.pi * k)
 
 
 _HOT = 0.5  # of the full well: mean signal of hot pixels
