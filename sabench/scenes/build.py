@@ -247,9 +247,9 @@ class Rig:
     occluders: tuple[Disc, ...]
 
     def occluders_of(self, camera: Camera) -> tuple[Disc, ...]:
-        """Give the occluders on a camera's side of the tank: only there they hide something.
+        """Give the occluders on a camera's side of the tank.
 
-        For a cylinder it is the side of the axis.
+        Only there they hide something. For a cylinder it is the side of the axis.
         """
         wall = camera.wall
         if wall is None:

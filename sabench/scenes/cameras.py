@@ -96,7 +96,7 @@ class ListLayout(Table):
 
 
 def offsets_of(layout: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
-    """Compute the cameras' offsets (n, 2) in the plane of the array, mm from its centre."""
+    """Compute the cameras' offsets (n, 2) from the array's centre, in its plane, mm."""
     if isinstance(layout, RingLayout):
         angle = np.deg2rad(layout.start_deg) + 2.0 * np.pi * np.arange(layout.count) / layout.count
         return np.asarray(layout.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)]))

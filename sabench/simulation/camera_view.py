@@ -181,13 +181,13 @@ def _expose(
 def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:
     scene, camera, tracers = frame.scene, frame.rig.cameras[number], frame.tracers
     seed = int(stream(frame.seed, "light paths", frame.number, number).integers(1 << 20))
-    lights, sight = lights_of(scene), see(camera, bubbles, frame.solids)
+    (tank, lights), sight = tank_and_lights(scene), see(camera, bubbles, frame.solids)
     from scipy.ndimage import maximum_filter  # takes long to load
 
     render = functools.partial(
         bubbles_traced.render,
         camera,
-        tank_of(scene),
+        tank,
         bubbles,
         frame.bodies,
         occluders=frame.rig.occluders,
@@ -215,16 +215,12 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
     return CameraView(camera, photons, particles=images, sight=sight)
 
 
-def tank_of(scene: Scene) -> Tank:
-    """Return the walls in front of and behind bubbles and bodies."""
+def tank_and_lights(scene: Scene) -> tuple[Tank, Lights]:
+    """Return the walls around bubbles and bodies, and the lights without the laser."""
     rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear)
-    return Tank(build_wall(scene.plane) if scene.plane else None, rear)
-
-
-def lights_of(scene: Scene) -> Lights:
-    """Return the lights of a scene without the laser."""
-    center = np.asarray(scene.volume.center_mm)
-    return Lights(scene.backlight, scene.lighting, center, scene.sensor.full_well_photons)
+    tank = Tank(build_wall(scene.plane) if scene.plane else None, rear)
+    center, full = np.asarray(scene.volume.center_mm), scene.sensor.full_well_photons
+    return tank, Lights(scene.backlight, scene.lighting, center, full)
 
 
 def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:

@@ -217,9 +217,10 @@ class Frames:
 def _streak(
     move: Callable[[float], F64], part_s: tuple[float, float], cameras: Sequence[Camera]
 ) -> tuple[F64, ...]:
-    """Compute positions in the middles of equal parts of an exposure, so many as streaks need.
+    """Compute positions in the middles of equal parts of an exposure.
 
-    `move` gives the particles' positions some time from the middle of the pulse.
+    Longer streaks need more of them. `move` gives the particles' positions some time from the
+    middle of the pulse.
     """
     (start, end), middle = part_s, (part_s[0] + part_s[1]) / 2.0
     if start == end or not len(early := move(start)):

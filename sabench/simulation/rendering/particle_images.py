@@ -134,7 +134,8 @@ class _Smooth:
 def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
     """Fit polynomials to all that changes slowly; None where no degree will do.
 
-    A volume that light reaches in part, such as one cut by a face, has no polynomials.
+    They interpolate exact paths at Chebyshev's points, and are compared with others. A volume that
+    light reaches in part, such as one cut by a face, has no polynomials.
     """
     low, high = np.asarray(box)
     places = np.random.default_rng(0).uniform(-1.0, 1.0, (_CHECKS, 3))
@@ -146,36 +147,31 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
     blur = slice(_ENDS["blur_px2"] - SMOOTH["blur_px2"], _ENDS["blur_px2"])
     scale[blur] = max(float(scale[blur].max()), _LEAST_BLUR_PX2)
     for degree in _DEGREES:
-        if (every := _fit(camera, low, high, degree)) is None:
+        count = degree + 1
+        angles = np.pi * (np.arange(count) + 0.5) / count
+        nodes = np.stack(np.meshgrid(*[np.cos(angles)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        paths = _find_exactly(camera, low + 0.5 * (nodes + 1.0) * (high - low))
+        if not paths.valid.all():
             return None
-        sizes = np.abs(every.coefficients) / scale[:, None]
+        table = np.column_stack([getattr(paths, name) for name in SMOOTH])
+        values = table.reshape(count, count, count, -1)
+        basis = np.cos(np.outer(np.arange(count), angles)) * 2.0 / count
+        basis[0] *= 0.5
+        weights = np.einsum("ai,bj,ck,ijkq->abcq", basis, basis, basis, values, optimize=True)
+        every = itertools.product(range(count), repeat=3)
+        terms = np.array([term for term in every if sum(term) <= degree])
+        coefficients = np.ascontiguousarray(weights[tuple(terms.T)].T)
+        # without the smallest, as many as there may be errors of half of what counts as none
+        sizes = np.abs(coefficients) / scale[:, None]
         rising = np.argsort(sizes.max(axis=0))
         together = np.cumsum(sizes[:, rising], axis=1).max(axis=0)
         kept = np.sort(rising[together > _EXACT / 2.0])
-        smooth = _Smooth(every.terms[kept], np.ascontiguousarray(every.coefficients[:, kept]))
+        smooth = _Smooth(terms[kept], np.ascontiguousarray(coefficients[:, kept]))
         found = np.empty((truth.shape[1], len(truth)))
         _evaluate(places, -np.ones(3), np.ones(3), smooth.terms, smooth.coefficients, found)
         if (np.abs(found.T - truth).max(axis=0) <= _EXACT * scale).all():
             return smooth
     return None
-
-
-def _fit(camera: Camera, low: F64, high: F64, degree: int) -> _Smooth | None:
-    """Interpolate exact paths at Chebyshev's points; None if one has no path."""
-    count = degree + 1
-    angles = np.pi * (np.arange(count) + 0.5) / count
-    nodes = np.stack(np.meshgrid(*[np.cos(angles)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    paths = _find_exactly(camera, low + 0.5 * (nodes + 1.0) * (high - low))
-    if not paths.valid.all():
-        return None
-    table = np.column_stack([getattr(paths, name) for name in SMOOTH])
-    values = table.reshape(count, count, count, -1)
-    basis = np.cos(np.outer(np.arange(count), angles)) * 2.0 / count
-    basis[0] *= 0.5
-    weights = np.einsum("ai,bj,ck,ijkq->abcq", basis, basis, basis, values, optimize=True)
-    every = itertools.product(range(count), repeat=3)
-    terms = np.array([term for term in every if sum(term) <= degree])
-    return _Smooth(terms, np.ascontiguousarray(weights[tuple(terms.T)].T))
 
 
 @numba.njit(cache=True, parallel=True)

@@ -231,7 +231,10 @@ class _Octave:
         self.rows = self._intensities(self._numbers, self._first, self._last)
 
     def average(self, numbers: I64, angles_rad: F64, half_rad: F64, in_plane: F64) -> F64:
-        """Average |S|^2 (n,) over apertures; the table grows, what it holds stays as it is."""
+        """Average |S|^2 (n,) over apertures.
+
+        New sizes and angles are added to the table; what it holds stays as it is.
+        """
         reach_rad = float((angles_rad - half_rad).min()), float((angles_rad + half_rad).max())
         first, last = self._multiples(reach_rad)
         if first < self._first:

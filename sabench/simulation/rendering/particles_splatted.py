@@ -85,7 +85,9 @@ def render(camera: Camera, images: ParticleImages) -> F64:
 
 @numba.njit(cache=True)
 def _sort_windows(pixel: Any, photons: Any, spread: Any, rows: int, columns: int) -> Any:
-    """Sort particles that illuminate an image by the band of rows that their windows begin in.
+    """Sort particles by the band of rows that their windows begin in.
+
+    Those that do not illuminate the image are left out.
 
     Returns where each band's start, and their pixels, photons, widths, correlations, and their
     windows' first columns and rows, and widths and heights (m, 2). A window reaches from its band

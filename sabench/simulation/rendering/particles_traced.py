@@ -80,7 +80,10 @@ def render(
 
 @numba.njit(cache=True)
 def _list_boxes(low: Any, high: Any, some: Any, columns: int, pixels: int) -> Any:
-    """List the boxes on each pixel: where its numbers start (pixels + 1,), and all numbers."""
+    """List the boxes on each pixel.
+
+    Returns where each pixel's numbers start (pixels + 1,), and all numbers.
+    """
     starts = np.zeros(pixels + 1, np.int64)
     for n in some:
         for row in range(low[n, 1], high[n, 1] + 1):
@@ -129,9 +132,9 @@ def ellipsoids(mi: Any, data: F64, extent: float) -> dict[str, Any]:
 
 
 def interfaces(mi: Any, origin: F64, camera: Camera) -> dict[str, Any]:
-    """Describe the dielectric interfaces of a camera's wall: planes, or coaxial cylinders.
+    """Describe the dielectric interfaces of a camera's wall.
 
-    The normals of cylinders point outwards.
+    They are planes, or coaxial cylinders, whose normals point outwards.
     """
     wall = camera.wall
     if wall is None:
