@@ -114,7 +114,7 @@ def offsets_of(layout: GridLayout | RingLayout | LineLayout | CrossLayout) -> F6
     else:  # all others are given: the table checks it
         counts, steps_mm = (layout.columns or 1, layout.rows or 1), layout.spacing_mm or (1.0, 1.0)
         x_mm, y_mm = (
-            (np.arange(count) - (count - 1) / 2.0) * step
+            np.asarray((np.arange(count) - (count - 1) / 2.0) * step, np.float64)
             for count, step in zip(counts, steps_mm, strict=True)
         )
     across, down = np.meshgrid(x_mm, y_mm)

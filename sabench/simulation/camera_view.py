@@ -133,14 +133,14 @@ def render_camera_view(frame: FrameContent, camera: int) -> CameraView:
     images = image_particles(scene, lens, *given, None, tracers.share)
     if scene.cameras.airy_rings:
         photons = particles_splatted.render_with_rings(
-            lens, scene.light.wavelength_nm, lambda fine: _expose(frame, tracers, fine)
+            lens, scene.light.wavelength_nm, lambda fine: _collect_photons(frame, tracers, fine)
         )
     else:
-        photons = _expose(frame, tracers, lens, images)
+        photons = _collect_photons(frame, tracers, lens, images)
     return CameraView(lens, photons, particles=images)
 
 
-def _expose(
+def _collect_photons(
     frame: FrameContent, tracers: Tracers, camera: Camera, known: ParticleImages | None = None
 ) -> F64:
     """Add the photons of all routes, and take the mean over the moments of the pulse.
