@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from sabench.scenes import Scene, build_rig, parse_scene
-from sabench.simulation.camera_view import lights_of, render_camera_view, tank_of
+from sabench.simulation.camera_view import render_camera_view, tank_and_lights
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering import bubbles_traced
 from sabench.utils.arrays import F64
@@ -50,7 +50,7 @@ def measure_frame(count: int, error: float | None) -> dict[str, float]:
     frame = Frames(scene, rig, 1).at(0)
     bubbles = frame.bubbles
     assert bubbles is not None
-    lights, tank = lights_of(scene), tank_of(scene)
+    tank, lights = tank_and_lights(scene)
     bubbles_traced.render(rig.cameras[0], tank, bubbles, (), lights, 1.0, 1)
     shown: list[tuple[F64, float]] = []
     start = time.perf_counter()

@@ -72,7 +72,8 @@ def bubble_images() -> Measured:
     rig = build_rig(scene)
     shown = Frames(scene, rig, 1).at(0).bubbles
     assert shown is not None
-    given = camera_view.tank_of(scene), shown, (), camera_view.lights_of(scene)
+    tank, lights = camera_view.tank_and_lights(scene)
+    given = tank, shown, (), lights
     first, _ = _timed(lambda: bubbles_traced.render(rig.cameras[0], *given, 1.0, 1))
     seconds, views = _timed(
         lambda: [

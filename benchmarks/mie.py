@@ -19,7 +19,7 @@ import numpy as np
 
 from sabench.simulation.rendering.particle_light import Scattering, intensities
 from sabench.utils.arrays import F64
-from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
+from sabench.worlds.tracers import lattice_diameters_mm, size_numbers
 
 _INDEX, _FLUID, _NM = 1.59, 1.333, 532.0
 _RANGE = tuple(np.deg2rad([58.0, 122.0]))

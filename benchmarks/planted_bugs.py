@@ -201,8 +201,8 @@ BUGS = (
     Bug(
         "Mie's lobes rotated by a degree",
         "sabench/simulation/rendering/particle_light.py",
-        "np.arccos(np.clip(-arriving @ forward, -1.0, 1.0))",
-        "np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)) + np.deg2rad(1.0)",
+        "np.arccos(np.clip(-arriving @ unit(direction), -1.0, 1.0))",
+        "np.arccos(np.clip(-arriving @ unit(direction), -1.0, 1.0)) + np.deg2rad(1.0)",
         case="particles",
     ),
     Bug(
@@ -349,9 +349,9 @@ BUGS = (
     ),
     Bug(
         "mirror images as far behind the back wall as particles are before the front wall",
-        "sabench/simulation/rendering/light_routes.py",
-        "                inner_mm + wall.depth_mm,\n",
-        "                inner_mm,\n",
+        "sabench/simulation/rendering/particle_images.py",
+        "mirror_mm = inner_mm + wall.depth_mm\n",
+        "mirror_mm = inner_mm\n",
         tests="tests/unit/simulation/rendering/test_light_routes.py",
     ),
     Bug(

@@ -29,7 +29,7 @@ from benchmarks.bubbles import scene_of
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene, build_rig, load_scene
 from sabench.simulation import camera_view
-from sabench.simulation.camera_view import lights_of, tank_of
+from sabench.simulation.camera_view import tank_and_lights
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.rendering import particles_traced
 from sabench.simulation.rendering.bubble_stage import Stager
@@ -81,7 +81,7 @@ def bubbles(scene: Scene) -> dict[str, float]:
 
     camera, shown = rig.cameras[4], Frames(scene, rig, 1).at(0).bubbles
     assert shown is not None
-    lights, tank = lights_of(scene), tank_of(scene)
+    tank, lights = tank_and_lights(scene)
     stager = Stager(camera, tank, shown, (), lights, (), None, None)
     stage, pixels = stager(0.0), np.arange(camera.rows * camera.columns, dtype=np.uint32)
     several = np.repeat(pixels, _PASSES)

@@ -143,24 +143,15 @@ class Arrays:
         """
         sizes = dict(known)
         for array, value in self.arrays():
-            expected = array.sizes(sizes)
-            kind = np.dtype(array.dtype)
-            text = f"{array.name}: expected {kind} of shape {_shape_text(array, sizes)}"
-            if not isinstance(value, np.ndarray):
-                raise InputError(f"{text}, got {type(value).__name__}")
-            fits = len(value.shape) == len(expected) and all(
-                size in (None, got) for size, got in zip(expected, value.shape, strict=True)
-            )
+            kind, axes = np.dtype(array.dtype), array.sizes(sizes)
+            is_array = isinstance(value, np.ndarray)
+            fits = is_array and len(value.shape) == len(axes)
+            fits = fits and all(a in (None, b) for a, b in zip(axes, value.shape, strict=True))
             if not fits or (self.EXACT and value.dtype != kind):
-                raise InputError(f"{text}, got {value.dtype} of shape {value.shape}")
+                pairs = zip(axes, array.shape, strict=True)
+                names = [str(name if size is None else size) for size, name in pairs]
+                shape = f"({', '.join(names)}{',' if len(names) == 1 else ''})"
+                got = f"{value.dtype} of shape {value.shape}" if is_array else type(value).__name__
+                raise InputError(f"{array.name}: expected {kind} of shape {shape}, got {got}")
             array.check_values(value, array.name)
             array.learn(value.shape, sizes)
-
-
-def _shape_text(declared: Array, by_name: dict[str, int]) -> str:
-    """Format a shape as a tuple, with the names of sizes that are not known."""
-    sizes = [
-        str(by_name.get(size, size)) if isinstance(size, str) else str(size)
-        for size in declared.shape
-    ]
-    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"

@@ -21,7 +21,7 @@ from sabench.dataset.schema import Contents, Manifest, RecordedManifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.images.flaws import Flaws, Repaired
+from sabench.images.flaws import Flaws
 from sabench.images.preprocessing import WHITE, Step, preprocess, takes_all_frames
 from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
@@ -62,20 +62,17 @@ def build_observation(
         return Observation(images, cameras, grid, *levels)
     flaws = None
     if not backlit:
-        images, flaws = _repaired(images, levels, masked)
+        from sabench.images.repair import repair  # numba is loaded at the first use
+
+        black = np.uint16(np.rint(levels[0]))
+        shown = images if masked is None else np.where(masked, black, images)
+        images, flaws = repair(shown, *levels)
+        if masked is not None:
+            images = np.where(masked, black, images)
+            flaws = Flaws(flaws.points, flaws.covered | masked)
     if steps:
         images, levels = preprocess(images, *levels, steps, lowest), (0.0, float(WHITE))
     return Observation(images, cameras, grid, *levels, flaws)
-
-
-def _repaired(images: U16, levels: tuple[float, float], masked: Bool | None) -> Repaired:
-    from sabench.images.repair import repair  # numba is loaded at the first use
-
-    if masked is None:
-        return repair(images, *levels)
-    black = np.uint16(np.rint(levels[0]))
-    good, flaws = repair(np.where(masked, black, images), *levels)
-    return Repaired(np.where(masked, black, good), Flaws(flaws.points, flaws.covered | masked))
 
 
 def _align_levels(

@@ -1,5 +1,6 @@
 """Interface of all camera models."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -63,3 +64,9 @@ class SensorCamera:
         with np.errstate(invalid="ignore"):
             inside = (column >= low) & (row >= low) & (row < self.rows + margin_px - 0.5)
             return np.asarray(inside & (column < self.columns + margin_px - 0.5))
+
+
+def any_in_view(cameras: Sequence[CameraModel], points_mm: F64) -> bool:
+    """Check whether any of the points (n, 3) lies on any camera's image."""
+    views = ((camera, *camera.project(points_mm)) for camera in cameras)
+    return any((valid & camera.contains(pixels)).any() for camera, pixels, valid in views)

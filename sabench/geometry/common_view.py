@@ -220,9 +220,3 @@ def _reach(rays: Rays, axis: F64, depth_mm: float) -> F64:
     with np.errstate(invalid="ignore", divide="ignore"):
         steps = np.where(ahead > _STEEPEST, (depth_mm - rays.origins_mm @ axis) / ahead, np.nan)
     return np.asarray(rays.origins_mm + steps[:, None] * rays.directions)
-
-
-def any_in_view(cameras: Sequence[CameraModel], points_mm: F64) -> bool:
-    """Check whether any of the points (n, 3) lies on any camera's image."""
-    views = ((camera, *camera.project(points_mm)) for camera in cameras)
-    return any((valid & camera.contains(pixels)).any() for camera, pixels, valid in views)

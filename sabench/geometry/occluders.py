@@ -1,7 +1,6 @@
 """Opaque discs on the cameras' side of the wall, where light still runs straight."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,11 +55,3 @@ class Disc:
             distance = (offset @ normal) / (directions @ normal)
             miss = np.linalg.norm(distance[:, None] * directions - offset, axis=1)
             return np.asarray((distance > 0.0) & (miss <= self.radius_mm))
-
-
-def in_shadow(occluders: Iterable[Disc], pinhole_mm: F64, directions: F64) -> Bool:
-    """Mark rays from a pinhole (3,) along directions (n, 3) that any disc stops."""
-    hidden = np.zeros(len(directions), dtype=np.bool_)
-    for disc in occluders:
-        hidden |= disc.stops(pinhole_mm, directions)
-    return hidden

@@ -291,15 +291,32 @@ class Wall:
 
     def paths(self, pinhole_mm: F64, points_mm: F64) -> Paths:
         """Trace paths of light, by the one unknown that all their angles share."""
-        normal = np.asarray(self.normal)
+        normal, before = np.asarray(self.normal), -float(self.depth_of(pinhole_mm))
         leaving, arriving = np.empty_like(points_mm), np.empty_like(points_mm)
         valid = np.empty(len(points_mm), dtype=np.bool_)
         for start in range(0, len(points_mm), _CHUNK):
             part = slice(start, start + _CHUNK)
-            towards, radius, depths, good = _cylindrical(self, pinhole_mm, points_mm[part])
-            slope, _ = solve_slope(self.indices, depths, radius)
-            _direct(normal, towards, *angle_in(self.indices, 0, slope), leaving[part])
-            _direct(normal, towards, *angle_in(self.indices, -1, slope), arriving[part])
+            # unit vectors (3, n) along the wall, lateral distances and the depths in each medium
+            lateral = np.array(points_mm[part].T, order="C")  # numpy is slow on rows of three
+            lateral -= pinhole_mm[:, None]
+            with np.errstate(invalid="ignore"):  # infinite coordinates
+                along = normal @ lateral
+                behind = along - (before + self.thickness_mm)
+                for axis in range(3):
+                    lateral[axis] -= normal[axis] * along
+            # a coordinate that is not finite makes the depth so, too
+            good = np.isfinite(behind) & (behind > 0.0) & (before > 0.0)
+            if not good.all():  # all is zero where there is no path
+                lateral[:, ~good], behind[~good] = 0.0, 1.0
+            radius = np.sqrt(lateral[0] ** 2 + lateral[1] ** 2 + lateral[2] ** 2)
+            lateral *= 1.0 / np.where(radius > 0.0, radius, 1.0)
+            layers = [layer.thickness_mm for layer in self.layers]
+            slope, _ = solve_slope(self.indices, [max(before, 1e-300), *layers, behind], radius)
+            sine, cosine = angle_in(self.indices, 0, slope)
+            last_sine, last_cosine = angle_in(self.indices, -1, slope)
+            for axis in range(3):  # directions at these angles from the normal
+                leaving[part, axis] = sine * lateral[axis] + cosine * normal[axis]
+                arriving[part, axis] = last_sine * lateral[axis] + last_cosine * normal[axis]
             valid[part] = good
         if not valid.all():
             leaving[~valid] = arriving[~valid] = np.nan
@@ -345,43 +362,6 @@ class Wall:
             result *= 1.0 - 0.5 * (((a - b) / (a + b)) ** 2 + ((c - d) / (c + d)) ** 2)
             cosine = after_cosine
         return result
-
-
-def _cylindrical(
-    wall: Wall, pinhole_mm: F64, points_mm: F64
-) -> tuple[F64, F64, list[F64 | float], Bool]:
-    """Split points into unit vectors along the wall, lateral distances and depths.
-
-    Unit vectors are (3, n). Depths are those crossed per medium; all is zero where there is no path
-    (not valid).
-    """
-    normal = np.asarray(wall.normal)
-    before = -float(wall.depth_of(pinhole_mm))
-    lateral = np.array(points_mm.T, order="C")  # numpy is slow on rows of three
-    lateral -= pinhole_mm[:, None]
-    with np.errstate(invalid="ignore"):  # infinite coordinates
-        along = normal @ lateral
-        behind = along - (before + wall.thickness_mm)
-        for axis in range(3):
-            lateral[axis] -= normal[axis] * along
-    # a coordinate that is not finite makes the depth so, too
-    valid: Bool = np.isfinite(behind) & (behind > 0.0) & (before > 0.0)
-    if not valid.all():
-        lateral[:, ~valid], behind[~valid] = 0.0, 1.0
-    radius = np.sqrt(lateral[0] ** 2 + lateral[1] ** 2 + lateral[2] ** 2)
-    lateral *= 1.0 / np.where(radius > 0.0, radius, 1.0)
-    depths: list[F64 | float] = [max(before, 1e-300)]
-    depths += [*(layer.thickness_mm for layer in wall.layers), behind]
-    return lateral, radius, depths, valid
-
-
-def _direct(normal: F64, towards: F64, sine: F64, cosine: F64, out: F64) -> None:
-    """Fill in unit vectors (n, 3) at given angles from the normal.
-
-    They lean towards unit vectors (3, n) along the wall.
-    """
-    for axis in range(3):
-        out[:, axis] = sine * towards[axis] + cosine * normal[axis]
 
 
 def trace_to_points(wall: AnyWall | None, pinhole_mm: F64, points_mm: F64) -> Paths:

@@ -77,6 +77,8 @@ def peak_light(light: F32, noise: float) -> float:
 
 def find_points(grey: U16, black_dn: float) -> Bool:
     """Find hot and dead pixels (row, column)."""
+    import cv2
+
     light, noise = above_background(grey)
     points = np.zeros(light.shape, dtype=np.bool_)
     row, column = maxima(light, np.float32(_CLEAR * noise))
@@ -90,7 +92,13 @@ def find_points(grey: U16, black_dn: float) -> Bool:
         margin, hole = _MARGIN * noise, min(_DARK, _HOLE * sharpness)
         if sharpness > _SHARPEST:
             _mark_hot(light, least, _NARROW * sharpness, margin, points)
-        points |= _find_dead(grey.astype(np.float32) - np.float32(black_dn), least, hole, margin)
+        # dead ones: light above black too dark for that on all of their sides
+        above = grey.astype(np.float32) - np.float32(black_dn)
+        wide = cv2.copyMakeBorder(np.maximum(above, 0.0), 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
+        across, down = wide[1:-1, :-2] * wide[1:-1, 2:], wide[:-2, 1:-1] * wide[2:, 1:-1]
+        beside = np.minimum(across, down, out=across)
+        limit = np.float32(hole) * np.sqrt(beside, out=down)
+        points |= (above + np.float32(margin) < limit) & (beside > (0.5 * least) ** 2)
     return points
 
 
@@ -118,66 +126,39 @@ def find_reflections(grey: U16, white_dn: float) -> Bool:
 
 
 @numba.njit(cache=True)
-def _beside(light: Any, r: int, c: int) -> Any:
-    """Look up the left, right, upper and lower neighbours, around the border."""
+def _dim_side(light: Any, r: int, c: int) -> Any:
+    """Average the three darkest of a pixel's four neighbours, around the border.
+
+    Two hot pixels may touch.
+    """
     rows, columns = light.shape
     left, right = c - 1 if c > 0 else c + 1, c + 1 if c < columns - 1 else c - 1
     above, below = r - 1 if r > 0 else r + 1, r + 1 if r < rows - 1 else r - 1
-    return light[r, left], light[r, right], light[above, c], light[below, c]
-
-
-@numba.njit(cache=True)
-def _dim_side(a: Any, b: Any, c: Any, d: Any) -> Any:
-    """Average the three darkest of four neighbours: two hot pixels may touch."""
+    a, b, c, d = light[r, left], light[r, right], light[above, c], light[below, c]
     return (a + b + c + d - max(max(a, b), max(c, d))) / 3.0
 
 
 @numba.njit(cache=True)
 def _measure_ratios(light: Any, row: Any, column: Any, ratios: Any) -> None:
     for n in range(len(row)):
-        a, b, c, d = _beside(light, row[n], column[n])
-        ratios[n] = _dim_side(a, b, c, d) / light[row[n], column[n]]
+        ratios[n] = _dim_side(light, row[n], column[n]) / light[row[n], column[n]]
 
 
 @numba.njit(cache=True)
 def _mark_hot(light: Any, least: float, narrow: float, margin: float, points: Any) -> None:
     """Mark pixels too bright for their neighbours, alone or with the brightest one."""
-    for r in range(light.shape[0]):
-        for c in range(light.shape[1]):
-            here = light[r, c]
-            if here <= least or not _is_narrow(light, r, c, narrow, margin):
-                continue
-            y, x = _brightest(light, r, c)
-            most = light[y, x]
-            points[r, c] = most <= max(here, least) or _is_narrow(light, y, x, narrow, margin)
-
-
-@numba.njit(cache=True)
-def _is_narrow(light: Any, r: int, c: int, narrow: float, margin: float) -> bool:
-    return bool(_dim_side(*_beside(light, r, c)) + margin < narrow * light[r, c])
-
-
-@numba.njit(cache=True)
-def _brightest(light: Any, r: int, c: int) -> Any:
-    """Find row and column of the brightest of a pixel's four neighbours."""
     rows, columns = light.shape
-    best_r, best_c, most = r, c, -np.inf
-    for i, j in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        y, x = r + i, c + j
-        if 0 <= y < rows and 0 <= x < columns and light[y, x] > most:
-            best_r, best_c, most = y, x, light[y, x]
-    return best_r, best_c
-
-
-def _find_dead(light: F32, least: float, dark: float, margin: float) -> Bool:
-    """Mark pixels of light above black too dark for that on all of their sides."""
-    import cv2
-
-    wide = cv2.copyMakeBorder(np.maximum(light, 0.0), 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
-    across, down = wide[1:-1, :-2] * wide[1:-1, 2:], wide[:-2, 1:-1] * wide[2:, 1:-1]
-    beside = np.minimum(across, down, out=across)
-    limit = np.float32(dark) * np.sqrt(beside, out=down)
-    return np.asarray((light + np.float32(margin) < limit) & (beside > (0.5 * least) ** 2))
+    for r in range(rows):
+        for c in range(columns):
+            here = light[r, c]
+            if here <= least or not _dim_side(light, r, c) + margin < narrow * here:
+                continue
+            y, x, most = r, c, -np.inf  # the brightest of the four neighbours
+            for i, j in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
+                if 0 <= i < rows and 0 <= j < columns and light[i, j] > most:
+                    y, x, most = i, j, light[i, j]
+            narrower = _dim_side(light, y, x) + margin < narrow * light[y, x]
+            points[r, c] = most <= max(here, least) or narrower
 
 
 @numba.njit(cache=True)

@@ -12,21 +12,19 @@ from typing import overload
 import numpy as np
 
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.common_view import any_in_view
+from sabench.geometry.camera_model import any_in_view
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
 from sabench.geometry.rigid_motion import Domain
-from sabench.scenes import cameras as arrays
-from sabench.scenes.cameras import Cameras, CrossLayout, LineLayout, ListLayout, Place, RingLayout
-from sabench.scenes.exposures import skew_faults
+from sabench.scenes.cameras import ListLayout, Place, offsets_of
 from sabench.scenes.focusing import focus, tilt_sensor
 from sabench.scenes.illumination import Backlight
 from sabench.scenes.scene import Scene
 from sabench.scenes.wall import CylinderSpec, WallSpec, WallTable, wall_tables
-from sabench.utils.arrays import F64, triple
+from sabench.utils.arrays import F64, triple, unit
 from sabench.utils.errors import InputError
 from sabench.utils.validation import Collector
 
@@ -42,10 +40,9 @@ def build_wall(spec: WallSpec | CylinderSpec) -> TankWall:
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
     media = (spec.air_index, layers, spec.fluid_index)
     if isinstance(spec, CylinderSpec):
-        axis = triple(np.asarray(spec.axis) / np.linalg.norm(spec.axis))
+        axis = triple(unit(spec.axis))
         return CylinderWall(spec.axis_point_mm, axis, spec.outer_radius_mm, *media)
-    unit = triple(np.asarray(spec.normal) / np.linalg.norm(spec.normal))
-    return Wall(spec.point_mm, unit, *media, spec.depth_mm)
+    return Wall(spec.point_mm, triple(unit(spec.normal)), *media, spec.depth_mm)
 
 
 def build_walls(wall: WallTable | None) -> tuple[TankWall, ...]:
@@ -75,11 +72,6 @@ def check_one_plane(scene: Scene) -> None:
     if scene.walls and scene.plane is None:
         got = "a cylinder" if isinstance(scene.wall, CylinderSpec) else f"{len(scene.walls)} walls"
         raise InputError(f"wall: expected one plane wall for bubbles and bodies, got {got}")
-
-
-def is_outside(walls: Sequence[TankWall], center_mm: F64) -> bool:
-    """Return whether a camera is in front of a wall, or in plain air."""
-    return not walls or min(float(wall.depth_of(center_mm)) for wall in walls) < 0.0
 
 
 def wall_towards(walls: Sequence[TankWall], center_mm: F64, target_mm: F64) -> TankWall | None:
@@ -168,7 +160,13 @@ def check_occluder(
     where: str,
 ) -> None:
     """Check that all light to the cameras passes a disc on straight lines."""
-    depth = min((_reach(disc, wall) for wall in walls), default=-1.0)
+    depths = [
+        float(wall.depth_of(disc.points_mm()).max())
+        if isinstance(wall, CylinderWall)
+        else disc.span_mm(np.asarray(wall.normal))[1] - float(np.dot(wall.point_mm, wall.normal))
+        for wall in walls
+    ]
+    depth = min(depths, default=-1.0)  # of the disc behind the wall's outer face
     if depth >= 0.0:
         raise InputError(
             f"{where}: expected it wholly in front of the wall, "
@@ -190,25 +188,6 @@ def check_occluder(
                 f"{where}: expected it wholly between the cameras and the volume, "
                 f"but for {camera.name} it reaches {excess:.4g} mm into the volume"
             )
-
-
-def _reach(disc: Disc, wall: Wall | CylinderWall) -> float:
-    """Compute how far a disc reaches behind a wall's outer face, mm."""
-    if isinstance(wall, CylinderWall):
-        return float(wall.depth_of(disc.points_mm()).max())
-    return disc.span_mm(np.asarray(wall.normal))[1] - float(np.dot(wall.point_mm, wall.normal))
-
-
-def is_beside(disc: Disc, camera: Camera) -> bool:
-    """Return whether a disc is on a camera's side of the tank.
-
-    Only there it can hide something. For a cylinder it is the side of the axis.
-    """
-    wall, center = camera.wall, np.asarray(disc.center_mm)
-    if isinstance(wall, CylinderWall):
-        from_axis = center - np.asarray(wall.axis_point_mm)
-        return float(from_axis @ wall.normal_at(np.asarray(camera.center_mm))) < 0.0
-    return wall is None or float(wall.depth_of(center)) < 0.0
 
 
 def check_backlight(
@@ -268,8 +247,21 @@ class Rig:
     occluders: tuple[Disc, ...]
 
     def occluders_of(self, camera: Camera) -> tuple[Disc, ...]:
-        """Give the occluders on a camera's side of the tank."""
-        return tuple(disc for disc in self.occluders if is_beside(disc, camera))
+        """Give the occluders on a camera's side of the tank.
+
+        Only there they hide something. For a cylinder it is the side of the axis.
+        """
+        wall = camera.wall
+        if wall is None:
+            return self.occluders
+        if isinstance(wall, CylinderWall):
+            inwards = wall.normal_at(np.asarray(camera.center_mm))
+            axis_point = np.asarray(wall.axis_point_mm)
+            depths = [float((disc.center_mm - axis_point) @ inwards) for disc in self.occluders]
+        else:
+            depths = [float(wall.depth_of(np.asarray(disc.center_mm))) for disc in self.occluders]
+        both = zip(self.occluders, depths, strict=True)
+        return tuple(disc for disc, depth in both if depth < 0.0)
 
 
 def build_rig(scene: Scene, source: str = "scene") -> Rig:
@@ -286,11 +278,11 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     if count > _MOST_CAMERAS:
         expected = f"expected at most {_MOST_CAMERAS} cameras"
         raise InputError(f"{source}: cameras.layout: {expected}, got {count}")
-    names = [_name_camera(number) for number in range(count)]
+    names = [f"camera_{number:02d}" for number in range(count)]
     for fault in (
         *scene.sensor.faults_by_camera(count),
         *scene.cameras.faults_by_camera(names),
-        *skew_faults(scene.timing, count),
+        *(scene.timing.faults_by_camera(count) if scene.timing else ()),
     ):
         with check.collect():
             raise InputError(fault)
@@ -305,7 +297,7 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         check_tank(walls, corners)  # cameras are aimed at the volume: not built if it fails
         cameras = _build_cameras(scene, walls, corners)
         discs = tuple(
-            Disc(spec.center_mm, triple(_unit(spec.normal)), spec.radius_mm)
+            Disc(spec.center_mm, triple(unit(spec.normal)), spec.radius_mm)
             for spec in scene.occluders or ()
         )
         for number, disc in enumerate(discs):
@@ -348,35 +340,17 @@ def domain_of(scene: Scene) -> Domain:
     )
 
 
-def _unit(vector: tuple[float, float, float]) -> F64:
-    return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
-
-
-def _places(spec: Cameras) -> list[Place]:
-    layout = spec.layout
-    if isinstance(layout, ListLayout):
-        return list(layout.places)
-    if isinstance(layout, RingLayout):
-        offsets = arrays.ring(layout.count, layout.radius_mm, np.deg2rad(layout.start_deg))
-    elif isinstance(layout, LineLayout):
-        offsets = arrays.line(layout.count, layout.spacing_mm, np.deg2rad(layout.angle_deg))
-    elif isinstance(layout, CrossLayout):
-        offsets = arrays.make_cross(layout.arm, layout.spacing_mm)
-    elif layout.x_mm is not None and layout.y_mm is not None:
-        offsets = arrays.grid(layout.x_mm, layout.y_mm)
-    else:  # all others are given: the scene checks it
-        across, down = layout.spacing_mm or (1.0, 1.0)
-        x_mm = arrays.uniform_offsets(layout.columns or 1, across)
-        offsets = arrays.grid(x_mm, arrays.uniform_offsets(layout.rows or 1, down))
-    axes = np.stack([_unit(spec.x_axis), _unit(spec.y_axis)])
-    return [Place(center_mm=triple(c)) for c in np.asarray(spec.center_mm) + offsets @ axes]
-
-
 def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> tuple[Camera, ...]:
-    cameras, check = [], Collector("")
-    for number, place in enumerate(_places(scene.cameras)):
+    cameras, check, array = [], Collector(""), scene.cameras
+    if isinstance(array.layout, ListLayout):
+        places = list(array.layout.places)
+    else:
+        axes = np.stack([unit(array.x_axis), unit(array.y_axis)])
+        centers = np.asarray(array.center_mm) + offsets_of(array.layout) @ axes
+        places = [Place(center_mm=triple(center)) for center in centers]
+    for number, place in enumerate(places):
         with check.collect():
-            camera = _build_camera(scene, walls, _name_camera(number), place)
+            camera = _build_camera(scene, walls, f"camera_{number:02d}", place)
             if len(walls) > 1:
                 check_one_face(camera, walls, corners)
             cameras.append(camera)
@@ -392,13 +366,9 @@ def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> t
     return tuple(cameras)
 
 
-def _name_camera(number: int) -> str:
-    return f"camera_{number:02d}"
-
-
 def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: Place) -> Camera:
     (spec, camera_spec), center = scene.cameras.of_camera(name), np.asarray(place.center_mm)
-    if not is_outside(walls, center):
+    if walls and not min(float(wall.depth_of(center)) for wall in walls) < 0.0:
         raise InputError(
             f"cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, "
             "but it is in the wall or the tank"
@@ -433,5 +403,5 @@ def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: P
             raise InputError(f"{where}: expected a right-handed matrix, got a mirrored one")
     camera = focus(camera, target, spec.focus_mm)
     if camera_spec.tilt_deg is None and spec.focus_normal is not None:
-        return tilt_sensor(camera, target, _unit(spec.focus_normal))
+        return tilt_sensor(camera, target, unit(spec.focus_normal))
     return camera

@@ -1,7 +1,4 @@
-"""Tables of a scene: the camera array and its layouts.
-
-A layout returns offsets (n, 2) in mm in the plane of the array, from its centre.
-"""
+"""Tables of a scene: the camera array and its layouts."""
 
 from __future__ import annotations
 
@@ -9,48 +6,10 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from sabench.utils.arrays import F64
 from sabench.utils.validation import Direction, Positive, Table, TiltAngle, Vector
-
-
-def grid(x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> F64:
-    """Pair the given offsets with each other, row by row.
-
-    Offsets that are not uniform give a grid that is not uniform.
-    """
-    across, down = np.meshgrid(np.asarray(x_mm, np.float64), np.asarray(y_mm, np.float64))
-    return np.column_stack([across.ravel(), down.ravel()])
-
-
-def uniform_offsets(count: int, spacing_mm: float) -> F64:
-    """Make `count` offsets, `spacing_mm` apart, centred on zero."""
-    return np.asarray((np.arange(count) - (count - 1) / 2.0) * spacing_mm, dtype=np.float64)
-
-
-def ring(count: int, radius_mm: float, start_rad: float = 0.0) -> F64:
-    """Make `count` offsets uniformly around a circle.
-
-    The first is at `start_rad` (0 is +X, towards +Y).
-    """
-    angle = start_rad + 2.0 * np.pi * np.arange(count) / count
-    return np.asarray(radius_mm * np.column_stack([np.cos(angle), np.sin(angle)]))
-
-
-def line(count: int, spacing_mm: float, angle_rad: float = 0.0) -> F64:
-    """Make `count` offsets along a straight line at `angle_rad` to +X."""
-    direction = np.array([np.cos(angle_rad), np.sin(angle_rad)])
-    return np.asarray(uniform_offsets(count, spacing_mm)[:, None] * direction)
-
-
-def make_cross(arm: int, spacing_mm: float) -> F64:
-    """Make a centre and four arms of `arm` offsets each: 4 arm + 1 in all."""
-    steps = np.arange(1, arm + 1) * spacing_mm
-    zero = np.zeros_like(steps)
-    arms = ((steps, zero), (-steps, zero), (zero, steps), (zero, -steps))
-    return np.vstack([np.zeros((1, 2)), *(np.column_stack(pair) for pair in arms)])
 
 
 class GridLayout(Table):
@@ -134,6 +93,32 @@ class ListLayout(Table):
 
     kind: Literal["list"] = Field(description="`list`")
     places: tuple[Place, ...] = Field(min_length=1, description="position of each camera")
+
+
+def offsets_of(layout: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
+    """Compute the cameras' offsets (n, 2) from the array's centre, in its plane, mm."""
+    if isinstance(layout, RingLayout):
+        angle = np.deg2rad(layout.start_deg) + 2.0 * np.pi * np.arange(layout.count) / layout.count
+        return np.asarray(layout.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)]))
+    if isinstance(layout, CrossLayout):
+        steps = np.arange(1, layout.arm + 1) * layout.spacing_mm
+        zero = np.zeros_like(steps)
+        arms = ((steps, zero), (-steps, zero), (zero, steps), (zero, -steps))
+        return np.vstack([np.zeros((1, 2)), *(np.column_stack(pair) for pair in arms)])
+    if isinstance(layout, LineLayout):
+        angle = np.deg2rad(layout.angle_deg)
+        along = (np.arange(layout.count) - (layout.count - 1) / 2.0) * layout.spacing_mm
+        return np.asarray(along[:, None] * np.array([np.cos(angle), np.sin(angle)]))
+    if layout.x_mm is not None and layout.y_mm is not None:
+        x_mm, y_mm = np.asarray(layout.x_mm, np.float64), np.asarray(layout.y_mm, np.float64)
+    else:  # all others are given: the table checks it
+        counts, steps_mm = (layout.columns or 1, layout.rows or 1), layout.spacing_mm or (1.0, 1.0)
+        x_mm, y_mm = (
+            np.asarray((np.arange(count) - (count - 1) / 2.0) * step, np.float64)
+            for count, step in zip(counts, steps_mm, strict=True)
+        )
+    across, down = np.meshgrid(x_mm, y_mm)
+    return np.column_stack([across.ravel(), down.ravel()])
 
 
 class DistortionSpec(Table):

@@ -71,10 +71,3 @@ def _other_pulse(timing: Timing, exposure_s: float, skew_s: float) -> float | No
             if abs(time - pulse_time) > 1e-12 and early < opens + exposure_s and late > opens:
                 return time - pulse_time
     return None
-
-
-def skew_faults(timing: Timing | None, cameras: int) -> Iterator[str]:
-    """List delays of another number of cameras than there are."""
-    if timing is not None and timing.skew_s is not None and len(timing.skew_s) != cameras:
-        got = len(timing.skew_s)
-        yield f"timing.skew_s: expected one value for each of {cameras} cameras, got {got}"

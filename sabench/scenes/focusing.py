@@ -93,18 +93,38 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
 
     A shift on the image moves the projections of all points equally. Source: thesis section 2.2.4,
     the error eps_RP of figure 2-7b, with the same length for all cameras and a random
-    direction.
+    direction. Unmeasured coefficients of distortion become zero.
     """
     spec = scene.calibration
     if spec is None:
         return cameras
     if spec.errs_in_wall and isinstance(wall := cameras[0].wall, Wall):
-        nominal = draw_nominal_wall(wall, spec, seed)
-        cameras = tuple(replace(camera, wall=nominal) for camera in cameras)
-    return tuple(
-        _perturb(_shift(camera, spec, seed, number), spec, seed, number)
-        for number, camera in enumerate(cameras)
-    )
+        drawn = draw_nominal_wall(wall, spec, seed)
+        cameras = tuple(replace(camera, wall=drawn) for camera in cameras)
+    nominal = []
+    for number, camera in enumerate(cameras):
+        angle = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
+        right, down = spec.shift_px * float(np.cos(angle)), spec.shift_px * float(np.sin(angle))
+        column, row = camera.principal_point_px
+        unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
+        rng = stream(seed, "rough cameras", number)
+        center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
+        turn = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3))
+        rotation = turn @ np.asarray(camera.rotation)
+        error = spec.focal_percent / 100.0 * float(rng.standard_normal())
+        tilt = np.asarray(camera.tilt_deg) + (spec.tilt_deg or 0.0) * rng.standard_normal(2)
+        nominal.append(
+            replace(
+                camera,
+                distortion=replace(camera.distortion, **unmeasured),
+                principal_point_px=(column + right, row + down),
+                tilt_deg=(float(tilt[0]), float(tilt[1])),
+                center_mm=triple(center),
+                rotation=(triple(rotation[0]), triple(rotation[1]), triple(rotation[2])),
+                principal_distance_mm=camera.principal_distance_mm * (1.0 + error),
+            )
+        )
+    return tuple(nominal)
 
 
 def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
@@ -129,36 +149,4 @@ def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
         normal=triple(axes.T @ turn[:, 2]),
         layers=tuple(layers),
         fluid_index=wall.fluid_index + (spec.fluid_index or 0.0) * float(fluid),
-    )
-
-
-def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    """Move the principal point, and set unknown coefficients of distortion to zero."""
-    angle = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
-    right, down = spec.shift_px * float(np.cos(angle)), spec.shift_px * float(np.sin(angle))
-    column, row = camera.principal_point_px
-    unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
-    return replace(
-        camera,
-        distortion=replace(camera.distortion, **unmeasured),
-        principal_point_px=(column + right, row + down),
-    )
-
-
-def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    rng = stream(seed, "rough cameras", number)
-    center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
-    rotation = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
-        camera.rotation
-    )
-    distance = camera.principal_distance_mm * (
-        1.0 + spec.focal_percent / 100.0 * float(rng.standard_normal())
-    )
-    tilt = np.asarray(camera.tilt_deg) + (spec.tilt_deg or 0.0) * rng.standard_normal(2)
-    return replace(
-        camera,
-        tilt_deg=(float(tilt[0]), float(tilt[1])),
-        center_mm=triple(center),
-        rotation=(triple(rotation[0]), triple(rotation[1]), triple(rotation[2])),
-        principal_distance_mm=distance,
     )

@@ -129,6 +129,12 @@ class Timing(Table):
         examples=[1e-6],
     )
 
+    def faults_by_camera(self, cameras: int) -> Iterator[str]:
+        """List delays of another number of cameras than there are."""
+        if self.skew_s is not None and len(self.skew_s) != cameras:
+            got = len(self.skew_s)
+            yield f"timing.skew_s: expected one value for each of {cameras} cameras, got {got}"
+
     @model_validator(mode="after")
     def _check_times(self) -> Timing:
         refuse(self._faults())

@@ -79,9 +79,9 @@ class Sensor(Table):
         return round(min(converter, self.black_level_dn + self.gain_dn_e * most))
 
     @property
-    def has_pattern(self) -> bool:
-        """True if its pixels differ."""
-        return any((self.prnu, self.dsnu_e, self.hot_pixels, self.dead_pixels))
+    def full_well_photons(self) -> float:
+        """Mean number of photons that fill a pixel's well."""
+        return self.full_well_e / self.quantum_efficiency
 
     def of_camera(self, number: int) -> Sensor:
         """Give the sensor of one camera, by its number in the rig.

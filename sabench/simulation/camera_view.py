@@ -1,5 +1,6 @@
 """View of one camera: photons, background light, truth, grey values."""
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,16 +14,19 @@ from sabench.scenes.illumination import Background
 from sabench.simulation.frames import FrameContent, Tracers, find_hidden
 from sabench.simulation.rendering import (
     bubbles_traced,
-    light_routes,
     particles_splatted,
     particles_traced,
     targets_traced,
 )
 from sabench.simulation.rendering.bubble_stage import Lights, Tank
-from sabench.simulation.rendering.light_routes import Route
-from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
+from sabench.simulation.rendering.particle_images import (
+    ParticleImages,
+    Route,
+    image_particles,
+    reflections,
+)
 from sabench.simulation.rendering.pixel_truth import see
-from sabench.simulation.rendering.sensor import expose, full_well_photons, make_pattern
+from sabench.simulation.rendering.sensor import expose, make_pattern
 from sabench.utils.arrays import F64, U16
 from sabench.utils.rng import stream
 
@@ -108,48 +112,56 @@ class CameraView:
 
 def render_camera_view(frame: FrameContent, camera: int) -> CameraView:
     """Render a frame as one camera of its rig sees it; `camera` is its number there."""
+    scene, lens = frame.scene, frame.rig.cameras[camera]
     if frame.target is not None:
-        return _render_target(frame, camera)
+        if scene.lighting is None or frame.pose is None:
+            raise ValueError(f"frame {frame.number}: expected a target under lamps")
+        center, samples = np.asarray(scene.volume.center_mm), scene.render.samples_per_pixel
+        saturation = targets_traced.render(
+            lens, frame.target, frame.pose, scene.lighting, center, samples
+        )
+        return CameraView(lens, scene.sensor.full_well_photons * saturation)
     if frame.bubbles is not None:
         return _render_bubbles(frame, frame.bubbles, camera)
-    if frame.tracers is not None:
-        return _render_tracers(frame, frame.tracers.of_camera(camera), frame.rig.cameras[camera])
-    raise ValueError(f"frame {frame.number}: expected something to render, got an empty frame")
-
-
-def _render_tracers(frame: FrameContent, tracers: Tracers, camera: Camera) -> CameraView:
-    images = _image(frame, tracers, camera)
-    if frame.scene.cameras.airy_rings:
-        wavelength = frame.scene.light.wavelength_nm
+    if frame.tracers is None:
+        raise ValueError(f"frame {frame.number}: expected something to render, got an empty frame")
+    tracers = frame.tracers
+    if tracers.exposed is not None:  # the camera records a part of the pulse
+        particles, positions, share = tracers.exposed(camera)
+        tracers = replace(tracers, particles=particles, positions_mm=positions, share=share)
+    given = tracers.particles, tracers.scatterers, frame.rig.occluders_of(lens)
+    images = image_particles(scene, lens, *given, None, tracers.share)
+    if scene.cameras.airy_rings:
         photons = particles_splatted.render_with_rings(
-            camera, wavelength, lambda fine: _expose(frame, tracers, fine)
+            lens, scene.light.wavelength_nm, lambda fine: _collect_photons(frame, tracers, fine)
         )
     else:
-        photons = _expose(frame, tracers, camera, images)
-    return CameraView(camera, photons, particles=images)
+        photons = _collect_photons(frame, tracers, lens, images)
+    return CameraView(lens, photons, particles=images)
 
 
-def _expose(
+def _collect_photons(
     frame: FrameContent, tracers: Tracers, camera: Camera, known: ParticleImages | None = None
 ) -> F64:
     """Add the photons of all routes, and take the mean over the moments of the pulse.
 
     `known` are the images on the direct route at the middle of the pulse, if already computed.
     """
-    scene, routes = frame.scene, [light_routes.direct(camera.wall)]
+    scene, routes, occluders = frame.scene, [Route(camera.wall)], frame.rig.occluders_of(camera)
     if scene.plane is not None and scene.plane.mirrors and isinstance(camera.wall, Wall):
         rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear)
-        routes += light_routes.reflections(camera.wall, rear)
+        routes += reflections(camera.wall, rear)
     total = None
     for positions in tracers.positions_mm:
-        middle, moment = positions is tracers.particles.position_mm, tracers
+        middle, moment = positions is tracers.particles.position_mm, tracers.particles
         if not middle:
-            moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
+            moment = replace(moment, position_mm=positions)
         for route in routes:
             if known is not None and middle and not route.faces:
                 images = known
             else:
-                images = _image(frame, moment, camera, route)
+                given = moment, tracers.scatterers, occluders, route, tracers.share
+                images = image_particles(scene, camera, *given)
             unfolded = route.behind(camera)
             if frame.renderer == "splat":
                 photons = particles_splatted.render(unfolded, images)
@@ -166,98 +178,49 @@ def _expose(
     return total / len(tracers.positions_mm)
 
 
-def _image(
-    frame: FrameContent, tracers: Tracers, camera: Camera, route: Route | None = None
-) -> ParticleImages:
-    occluders = frame.rig.occluders_of(camera)
-    given = (tracers.particles, tracers.scatterers, occluders, route)
-    images = image_particles(frame.scene, camera, *given)
-    if tracers.share == 1.0:
-        return images
-    return replace(
-        images,
-        photons=images.photons * tracers.share,
-        intensity=images.intensity * tracers.share,
-        visible=images.visible & (tracers.share > 0.0),
-    )
-
-
 def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:
-    scene, camera = frame.scene, frame.rig.cameras[number]
-    tank = tank_of(scene)
+    scene, camera, tracers = frame.scene, frame.rig.cameras[number], frame.tracers
     seed = int(stream(frame.seed, "light paths", frame.number, number).integers(1 << 20))
-    lights, sight = lights_of(scene), see(camera, bubbles, frame.solids)
+    (tank, lights), sight = tank_and_lights(scene), see(camera, bubbles, frame.solids)
     from scipy.ndimage import maximum_filter  # takes long to load
 
-    # the error counts in pixels that show bubbles or bodies, or are next to them
-    counted = np.asarray(maximum_filter(sight.number != NOTHING, 3))
-    shown = bubbles_traced.render(
+    render = functools.partial(
+        bubbles_traced.render,
         camera,
         tank,
         bubbles,
         frame.bodies,
-        lights,
-        scene.render.relative_error or _ERROR,
-        seed,
-        counted=counted,
         occluders=frame.rig.occluders,
-        exposure_s=scene.sensor.exposure_s,
+        # the error counts in pixels that show bubbles or bodies, or are next to them
+        counted=np.asarray(maximum_filter(sight.number != NOTHING, 3)),
     )
+    error, exposure_s = scene.render.relative_error or _ERROR, scene.sensor.exposure_s
+    shown = render(lights, error, seed, exposure_s=exposure_s)
     sight = replace(sight, error=shown.error)
-    if frame.tracers is None:
+    if tracers is None:
         return CameraView(camera, shown.photons, sight=sight)
-    tracers = frame.tracers
-    images = _image(frame, tracers, camera)
+    places = tracers.particles.position_mm
+    given = tracers.particles, tracers.scatterers, frame.rig.occluders_of(camera)
+    images = image_particles(scene, camera, *given)
     lit = True if tracers.illuminated is None else tracers.illuminated
     images = replace(
         images,
         photons=images.photons * lit,
         intensity=images.intensity * lit,
-        visible=images.visible
-        & ~find_hidden(camera, tracers.particles.position_mm, images.pixel, sight),
+        visible=images.visible & ~find_hidden(camera, places, images.pixel, sight),
     )
-    glow = bubbles_traced.render(
-        camera,
-        tank,
-        bubbles,
-        frame.bodies,
-        replace(lights, backlight=None, lighting=None),
-        _GLOW_ERROR,
-        seed + (1 << 20),
-        counted=counted,
-        occluders=frame.rig.occluders,
-        images=images,
-        particles_mm=tracers.particles.position_mm,
-    )
+    dark, seed = replace(lights, backlight=None, lighting=None), seed + (1 << 20)
+    glow = render(dark, _GLOW_ERROR, seed, images=images, particles_mm=places)
     photons = shown.photons + glow.photons
     return CameraView(camera, photons, particles=images, sight=sight)
 
 
-def tank_of(scene: Scene) -> Tank:
-    """Return the walls in front of and behind bubbles and bodies."""
+def tank_and_lights(scene: Scene) -> tuple[Tank, Lights]:
+    """Return the walls around bubbles and bodies, and the lights without the laser."""
     rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear)
-    return Tank(build_wall(scene.plane) if scene.plane else None, rear)
-
-
-def lights_of(scene: Scene) -> Lights:
-    """Return the lights of a scene without the laser."""
-    center = np.asarray(scene.volume.center_mm)
-    return Lights(scene.backlight, scene.lighting, center, full_well_photons(scene.sensor))
-
-
-def _render_target(frame: FrameContent, number: int) -> CameraView:
-    scene, camera = frame.scene, frame.rig.cameras[number]
-    if scene.lighting is None or frame.target is None or frame.pose is None:
-        raise ValueError(f"frame {frame.number}: expected a target under lamps")
-    saturation = targets_traced.render(
-        camera,
-        frame.target,
-        frame.pose,
-        scene.lighting,
-        np.asarray(scene.volume.center_mm),
-        scene.render.samples_per_pixel,
-    )
-    return CameraView(camera, full_well_photons(scene.sensor) * saturation)
+    tank = Tank(build_wall(scene.plane) if scene.plane else None, rear)
+    center, full = np.asarray(scene.volume.center_mm), scene.sensor.full_well_photons
+    return tank, Lights(scene.backlight, scene.lighting, center, full)
 
 
 def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:
@@ -270,10 +233,10 @@ def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:
     if scene.background is not None:
         light = static_light(scene.background, photons.shape, stream(seed, "background", camera))
         brightness = flicker(scene.background, stream(seed, "flicker", frame.number))
-        photons = photons + brightness * full_well_photons(scene.sensor) * light
+        photons = photons + brightness * scene.sensor.full_well_photons * light
     if scene.sensor.camera_exposure is not None:
         photons = photons * scene.sensor.camera_exposure[camera]
     sensor, pattern = scene.sensor.of_camera(camera), None
-    if sensor.has_pattern:
+    if any((sensor.prnu, sensor.dsnu_e, sensor.hot_pixels, sensor.dead_pixels)):
         pattern = make_pattern(sensor, photons.shape, stream(seed, "sensor pattern", camera))
     return expose(sensor, photons, frame.sensor_noise(camera), pattern)

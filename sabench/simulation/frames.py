@@ -15,15 +15,14 @@ from sabench.geometry.rigid_motion import Pose
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
 from sabench.scenes.exposures import recorded_part
 from sabench.simulation.rendering.lamps import enter_fluid
-from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.simulation.rendering.particle_light import Scatterers, scatterers_of
-from sabench.simulation.rendering.pixel_truth import depth_of, meets
+from sabench.simulation.rendering.pixel_truth import BodySearch, depth_of, meets
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds import calibration_targets
 from sabench.worlds.bubbles_and_bodies import Phases
-from sabench.worlds.tracers import Motion, moments, pulse
+from sabench.worlds.tracers import Motion, pulse
 
 
 @dataclass(frozen=True)
@@ -48,13 +47,6 @@ class Tracers:
     illuminated: Bool | None = None
     share: float = 1.0
     exposed: Callable[[int], tuple[Particles, tuple[F64, ...], float]] | None = None
-
-    def of_camera(self, number: int) -> Tracers:
-        """Give the tracers as one camera records them, by its number in the rig."""
-        if self.exposed is None:
-            return self
-        particles, positions, share = self.exposed(number)
-        return replace(self, particles=particles, positions_mm=positions, share=share, exposed=None)
 
 
 @dataclass(frozen=True)
@@ -93,13 +85,6 @@ class FrameContent:
         return stream(self.seed, "sensor", self.number, camera)
 
 
-def _inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
-    """Find which points (n, 3) lie in a bubble or a body."""
-    if not solids:
-        return _in_bubbles(bubbles, points_mm)
-    return _in_bubbles(bubbles, points_mm) | BodySearch(solids).contains(points_mm)
-
-
 def find_hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
     """Find which points (n, 3) lie behind what their pixels (n, 2) show first."""
     with np.errstate(invalid="ignore"):
@@ -111,19 +96,20 @@ def find_hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bo
     return np.asarray(on_sensor & (sight.number[row, column] != NOTHING) & behind)
 
 
-def _in_bubbles(bubbles: Bubbles, points_mm: F64) -> Bool:
+def _inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
+    """Find which points (n, 3) lie in a bubble or a body."""
     from scipy.spatial import cKDTree
 
     found = np.zeros(len(points_mm), dtype=np.bool_)
-    if not len(bubbles) or not len(points_mm):
-        return found
-    near = cKDTree(points_mm).query_ball_point(bubbles.center_mm, bubbles.semi_axes_mm.max(axis=1))
-    for number, neighbours in enumerate(near):
-        which = np.asarray(neighbours, dtype=np.int64)
-        offset = points_mm[which] - bubbles.center_mm[number]
-        in_ball = offset @ bubbles.to_ball[number].T
-        found[which[np.linalg.norm(in_ball, axis=1) < 1.0]] = True
-    return found
+    if len(bubbles) and len(points_mm):
+        widest = bubbles.semi_axes_mm.max(axis=1)
+        near = cKDTree(points_mm).query_ball_point(bubbles.center_mm, widest)
+        for number, neighbours in enumerate(near):
+            which = np.asarray(neighbours, dtype=np.int64)
+            offset = points_mm[which] - bubbles.center_mm[number]
+            in_ball = offset @ bubbles.to_ball[number].T
+            found[which[np.linalg.norm(in_ball, axis=1) < 1.0]] = True
+    return found | BodySearch(solids).contains(points_mm) if solids else found
 
 
 _STREAK_PX = 0.5  # of a streak, for each position that stands for it
@@ -197,15 +183,16 @@ class Frames:
         illuminated: Bool | None = None,
     ) -> FrameContent:
         """Put a frame together from its bubbles and tracers, as `at` has made them."""
-        scene, tracers = self.scene, None
-        if particles is not None:
+        scene, motion, tracers = self.scene, self.motion, None
+        if particles is not None and motion is not None:
             scene = scene.model_copy(update={"illumination": pulse(scene, self.seed, number)})
             duration = scene.timing.duration_s if scene.timing else 0.0
-            pulse_s = -duration / 2.0, duration / 2.0
-            positions = self._along(particles, number, pulse_s, self.rig.cameras)
+            move = functools.partial(motion.move, particles, number)
+            positions = _streak(move, (-duration / 2.0, duration / 2.0), self.rig.cameras)
             skewed = scene.timing is not None and scene.timing.skew_s is not None
-            exposed = functools.partial(self._expose, particles, number) if skewed else None
-            tracers = Tracers(particles, positions, self._scatterers, illuminated, exposed=exposed)
+            exposed = functools.partial(self._expose, particles, number, move) if skewed else None
+            scatterers = scatterers_of(self.scene, self.rig.cameras, self.seed)
+            tracers = Tracers(particles, positions, scatterers, illuminated, exposed=exposed)
         bodies = tuple(self._phases.bodies(number)) if self._phases else ()
         content = FrameContent(
             scene, self.rig, self.seed, number, self.renderer, bubbles, bodies, tracers
@@ -214,48 +201,39 @@ class Frames:
             return content
         return replace(content, target=self.placed.target, pose=self.placed.poses[number])
 
-    @functools.cached_property
-    def _scatterers(self) -> Scatterers | None:
-        return scatterers_of(self.scene, self.rig.cameras, self.seed)
-
-    def _along(
-        self,
-        particles: Particles,
-        number: int,
-        part_s: tuple[float, float],
-        cameras: Sequence[Camera],
-    ) -> tuple[F64, ...]:
-        duration, middle = part_s[1] - part_s[0], (part_s[0] + part_s[1]) / 2.0
-        if duration == 0.0 or not len(particles):
-            return (self._move(particles, number, middle),)
-        early, late = (self._move(particles, number, delay) for delay in part_s)
-        streaks_px = [
-            np.linalg.norm(camera.project(late)[0] - camera.project(early)[0], axis=1)
-            for camera in cameras
-        ]
-        longest = max(float(np.nanmax(streak)) for streak in streaks_px)
-        steps = max(1, int(np.ceil(longest / _STREAK_PX)))
-        return tuple(
-            self._move(particles, number, middle + delay) for delay in moments(duration, steps)
-        )
-
     def _expose(
-        self, particles: Particles, number: int, camera: int
+        self, particles: Particles, number: int, move: Callable[[float], F64], camera: int
     ) -> tuple[Particles, tuple[F64, ...], float]:
         """Compute what `Tracers.exposed` gives; particles are at the middle of the part."""
         timing = self.scene.timing
         part = recorded_part(timing, self.scene.sensor, number, camera) if timing else None
         if timing is None or part is None:
             return particles, (particles.position_mm,), 0.0
-        positions = self._along(particles, number, part, [self.rig.cameras[camera]])
-        middle = self._move(particles, number, (part[0] + part[1]) / 2.0)
+        positions = _streak(move, part, [self.rig.cameras[camera]])
         share = (part[1] - part[0]) / timing.duration_s if timing.duration_s else 1.0
-        return replace(particles, position_mm=middle), positions, share
+        return replace(particles, position_mm=move((part[0] + part[1]) / 2.0)), positions, share
 
-    def _move(self, particles: Particles, number: int, delay_s: float) -> F64:
-        if self.motion is None or delay_s == 0.0:
-            return particles.position_mm
-        return self.motion.move(particles, number, delay_s)
+
+def _streak(
+    move: Callable[[float], F64], part_s: tuple[float, float], cameras: Sequence[Camera]
+) -> tuple[F64, ...]:
+    """Compute positions in the middles of equal parts of an exposure.
+
+    Longer streaks need more of them. `move` gives the particles' positions some time from the
+    middle of the pulse.
+    """
+    (start, end), middle = part_s, (part_s[0] + part_s[1]) / 2.0
+    if start == end or not len(early := move(start)):
+        return (move(middle),)
+    late = move(end)
+    streaks_px = [
+        np.linalg.norm(camera.project(late)[0] - camera.project(early)[0], axis=1)
+        for camera in cameras
+    ]
+    longest = max(float(np.nanmax(streak)) for streak in streaks_px)
+    steps = max(1, int(np.ceil(longest / _STREAK_PX)))
+    places = [(end - start) * ((number + 0.5) / steps - 0.5) for number in range(steps)]
+    return tuple(move(middle + place) for place in places)
 
 
 def light_in_fluid(scene: Scene) -> Scene:

@@ -54,7 +54,7 @@ def _simulate_frame(frames: Frames, frame: int) -> Shot:
         raise ValueError(f"{scene.title}: expected a scene with particles")
     images, views = record_frame(content)
     lowest = None
-    if takes_all_frames(scene.preprocessing or ()):
+    if scene.preprocessing and takes_all_frames(scene.preprocessing):
         every = [record_frame(frames.at(number))[0] for number in range(scene.frames)]
         lowest = np.min(every, axis=0)
     return Shot(observation_of(content, images, lowest), content.tracers.particles, views)

@@ -10,7 +10,7 @@ from sabench.api import IterativeSolver, Observation, Reconstruction, SequenceSo
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
-from sabench.geometry.common_view import any_in_view
+from sabench.geometry.camera_model import any_in_view
 from sabench.geometry.grid import Grid
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.particle_detection import MATCHING_DISTANCES

@@ -21,6 +21,11 @@ def triple(values: npt.ArrayLike) -> tuple[float, float, float]:
     return x, y, z
 
 
+def unit(vector: npt.ArrayLike) -> F64:
+    """Return the vector (n,) of length 1 in the direction of another."""
+    return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
+
+
 def nested(matrix: F64) -> Rows:
     """Return a matrix as a tuple of tuples of Python floats, for frozen values."""
     return tuple(tuple(row) for row in matrix.tolist())

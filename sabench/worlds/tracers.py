@@ -2,7 +2,6 @@
 
 import functools
 import tomllib
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +13,11 @@ from sabench.geometry.rigid_motion import Domain
 from sabench.scenes import Scene
 from sabench.scenes.build import domain_of
 from sabench.scenes.illumination import Illumination, Tracer
-from sabench.utils.arrays import F64, I64, Bool, in_box, triple
+from sabench.utils.arrays import F64, I64, in_box, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds.advection import check_inertia, move_particles, velocity_of
 from sabench.worlds.bubbles_and_bodies import Phases
-from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 
 _GOLDEN, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
@@ -42,6 +40,23 @@ def material_numbers(tracer: Tracer, seed: int, ids: I64) -> I64:
     bounds = np.cumsum([material.share for material in tracer.mixture])
     number = np.searchsorted(bounds, drawn, side="right") + 1
     return np.asarray(np.where(number > len(bounds), 0, number), dtype=np.int64)
+
+
+# The light that a sphere scatters in one direction changes with the last hundredth of a percent of
+# its diameter. Particles' diameters are rounded to a lattice, far finer than can be measured, so
+# that particles share scattering computed exactly.
+PER_OCTAVE = 2048  # 7 nm at 20 um
+_UNIT_MM = 1e-3
+
+
+def size_numbers(diameters_mm: F64) -> I64:
+    """Compute the numbers of the lattice's nearest diameters; that of 1 um is 0."""
+    return np.asarray(np.rint(PER_OCTAVE * np.log2(diameters_mm / _UNIT_MM)), dtype=np.int64)
+
+
+def lattice_diameters_mm(numbers: I64) -> F64:
+    """Compute the diameters of numbers."""
+    return np.asarray(_UNIT_MM * np.exp2(numbers / PER_OCTAVE))
 
 
 TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path
@@ -139,7 +154,18 @@ class Motion:
         if self._last and self._last[0] <= frame:
             number, particles = self._last
         else:
-            number, particles = 0, self._first(flow, domain)
+            number, particles = 0, self._generate(domain, self.seed, 0, 0.0)
+            if np.any(particles.velocity_mm_s):
+                raise InputError(
+                    f"{self.scene.title}: particles: expected some that rest, for the flow to "
+                    "carry them, got some that move by themselves"
+                )
+            inertia, given = self.scene.inertia, (particles.position_mm, particles.diameter_mm)
+            start = self.scene.time_s(0)
+            if inertia is not None:
+                check_inertia(flow, inertia, *given, start, self.scene.title)
+            velocity = velocity_of(flow, inertia, *given, start)
+            particles = replace(particles, velocity_mm_s=velocity)
         while number < frame:
             number += 1
             particles = self._next(flow, domain, particles, number)
@@ -148,6 +174,8 @@ class Motion:
 
     def move(self, particles: Particles, frame: int, delay_s: float) -> F64:
         """Move positions (n, 3) of a frame's particles some time later or earlier."""
+        if delay_s == 0.0:
+            return particles.position_mm
         if self._flow is None:
             return particles.position_mm + delay_s * particles.velocity_mm_s
         time = self.scene.time_s(frame)
@@ -184,18 +212,6 @@ class Motion:
         rounded = lattice_diameters_mm(size_numbers(particles.diameter_mm))
         return replace(particles, diameter_mm=rounded)
 
-    def _first(self, flow: Flow, domain: Domain) -> Particles:
-        particles = self._generate(domain, self.seed, 0, 0.0)
-        if np.any(particles.velocity_mm_s):
-            raise InputError(
-                f"{self.scene.title}: particles: expected some that rest, for the flow to carry "
-                "them, got some that move by themselves"
-            )
-        position, size, time = particles.position_mm, particles.diameter_mm, self.scene.time_s(0)
-        if (inertia := self.scene.inertia) is not None:
-            check_inertia(flow, inertia, position, size, time, self.scene.title)
-        return replace(particles, velocity_mm_s=velocity_of(flow, inertia, position, size, time))
-
     def _next(self, flow: Flow, domain: Domain, before: Particles, frame: int) -> Particles:
         """Advect particles by one frame, dropping and replacing those that leave.
 
@@ -204,22 +220,18 @@ class Motion:
         this keeps the density exactly, whatever the flow does at the faces.
         """
         start, end = self.scene.time_s(frame - 1), self.scene.time_s(frame)
+        low, high = domain.low_mm, domain.low_mm + np.asarray(domain.size_mm)
         carried = self._carry(flow, before, start, end)
-        stay = np.flatnonzero(_inside(domain, carried))
+        stay = np.flatnonzero(in_box(carried, low, high))
         seed = int(stream(self.seed, "entering", frame).integers(1 << 62))
         fresh = self._generate(domain, seed, 0, 0.0)
-        enter = np.flatnonzero(~_inside(domain, self._carry(flow, fresh, end, start)))
+        enter = np.flatnonzero(~in_box(self._carry(flow, fresh, end, start), low, high))
         # `take` is four times as fast as rows chosen by a mask
         position = np.concatenate([carried.take(stay, 0), fresh.position_mm.take(enter, 0)])
         diameter = np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]])
         ids = np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]])
         velocity = velocity_of(flow, self.scene.inertia, position, diameter, end)
         return Particles(ids, position, diameter, velocity)
-
-
-def _inside(domain: Domain, points_mm: F64) -> Bool:
-    low = domain.low_mm
-    return in_box(points_mm, low, low + np.asarray(domain.size_mm))
 
 
 def sample_lattice(
@@ -256,9 +268,3 @@ def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
     return light.model_copy(
         update={"pulse_energy_mj": light.pulse_energy_mj * energy, "shift_mm": shift}
     )
-
-
-def moments(duration_s: float, steps: int) -> Iterator[float]:
-    """Yield the middles of equal parts of a pulse, relative to its own middle."""
-    for number in range(steps):
-        yield duration_s * ((number + 0.5) / steps - 0.5)

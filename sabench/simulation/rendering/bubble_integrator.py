@@ -25,7 +25,6 @@ from sabench.simulation.rendering.camera_rays import (
     opaque,
 )
 from sabench.simulation.rendering.lamps import Lamps
-from sabench.simulation.rendering.particle_integrator import GlowingBalls
 from sabench.utils.arrays import F32, F64, U32
 
 
@@ -167,8 +166,15 @@ def radiance(
 
     def trace(ray: Any, pixel: Any, seed: Any, start: Any) -> Any:
         draw = _Draw(pixel, start + ray, seed)
+        table = draw.table()
+        u = [draw.number(table, mi.UInt32(dimension)) for dimension in range(_FIRST)]
+        across = mi.Float(pixel % camera.columns) + u[0] - 0.5
+        down = mi.Float(pixel // camera.columns) + u[1] - 0.5
         # balls of glow are as wide as the lens blurs them
-        rays = _rays(camera, origin, pixel, draw, stage.cloud is not None)
+        widest = camera.aperture_radius_mm if stage.cloud is None else 0.0
+        radius = dr.opaque(mi.Float, widest) * dr.sqrt(u[2])
+        sine, cosine = dr.sincos(2.0 * np.pi * u[3])
+        rays = lens_rays(camera, origin, across, down, (radius * cosine, radius * sine))
         return _trace(device, rays, draw, mark_unobstructed(rays, stage.occluders, origin))
 
     return mean_of_rays((pixels, seeds, starts), samples, trace)
@@ -212,7 +218,16 @@ class _Device:
         self.panel = panel_of(stage.panel)
         self.bubbles = mi.ShapePtr(stage.bubbles) if stage.bubbles is not None else None
         self.balls = mi.ShapePtr(stage.balls) if stage.balls is not None else None
-        self.cloud = _cloud(stage.cloud)
+        self.cloud: tuple[Any, ...] | None = None
+        self.pace = mi.Float(0.0)  # of rays that go on behind a glowing ball
+        if stage.cloud is not None:
+            cloud = stage.cloud
+            vectors = [
+                mi.Point3f(np.ascontiguousarray(v.T, dtype=np.float32))
+                for v in (cloud.centers, cloud.a, cloud.b)
+            ]
+            self.cloud = (*vectors, mi.Float(cloud.radiance.astype(np.float32)))
+            self.pace = dr.opaque(mi.Float, 0.01 * float(np.median(cloud.radii)))
         lamps = stage.lamps or Lamps(np.zeros((0, 3)), np.zeros(0), 0.0)
         self.lamps = [
             (opaque(position), dr.opaque(mi.Float, power))
@@ -221,30 +236,6 @@ class _Device:
         self.ambient = dr.opaque(mi.Float, lamps.ambient)
         self.inverse_square = dr.opaque(mi.Float, 1.0 / stage.fluid**2)
         self.radius = dr.opaque(mi.Float, stage.radius)
-
-
-def _cloud(cloud: GlowingBalls | None) -> tuple[Any, ...] | None:
-    if cloud is None:
-        return None
-    vectors = [
-        mi.Point3f(np.ascontiguousarray(v.T, dtype=np.float32))
-        for v in (cloud.centers, cloud.a, cloud.b)
-    ]
-    return (
-        *vectors,
-        mi.Float(cloud.radiance.astype(np.float32)),
-        dr.opaque(mi.Float, 0.01 * float(np.median(cloud.radii))),
-    )
-
-
-def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -> Any:
-    table = draw.table()
-    u = [draw.number(table, mi.UInt32(dimension)) for dimension in range(_FIRST)]
-    across = mi.Float(pixel % camera.columns) + u[0] - 0.5
-    down = mi.Float(pixel // camera.columns) + u[1] - 0.5
-    aperture = dr.opaque(mi.Float, 0.0 if pinhole else camera.aperture_radius_mm)
-    radius, (sine, cosine) = aperture * dr.sqrt(u[2]), dr.sincos(2.0 * np.pi * u[3])
-    return lens_rays(camera, origin, across, down, (radius * cosine, radius * sine))
 
 
 @dr.syntax
@@ -292,7 +283,7 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
         weight = dr.select(body, weight * worth, weight)
         outwards = dr.select(dr.dot(direction, normal) > 0.0, 1.0, -1.0)
         beside = dr.fma(normal, outwards * _OFF, position)
-        beyond = dr.fma(ray.d, _pace(device), dr.fma(ray.d, si.t, ray.o))
+        beyond = dr.fma(ray.d, device.pace, dr.fma(ray.d, si.t, ray.o))
         start = dr.select(
             surface, beside, dr.select(ball, beyond, dr.select(mirrored, wall, ray.o))
         )
@@ -359,7 +350,7 @@ def _glow(device: Any, ray: Any, number: Any, active: Any) -> Any:
     """Compute L / n^2 of a glowing ball along rays."""
     if device.cloud is None:
         return mi.Float(0.0)
-    centers, first, second, bright, _ = device.cloud
+    centers, first, second, bright = device.cloud
     offset = ray.o - dr.gather(mi.Point3f, centers, number, active)
     offset -= dr.dot(ray.d, offset) * ray.d
     x, y = (
@@ -371,10 +362,6 @@ def _glow(device: Any, ray: Any, number: Any, active: Any) -> Any:
         * dr.gather(mi.Float, bright, number, active)
         * device.inverse_square
     )
-
-
-def _pace(device: Any) -> Any:
-    return mi.Float(0.0) if device.cloud is None else device.cloud[4]
 
 
 def _body_radiance(device: Any, si: Any, active: Any) -> Any:

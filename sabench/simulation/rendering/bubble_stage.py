@@ -18,11 +18,11 @@ from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Layer, Wall, transmittance
 from sabench.scenes.illumination import Backlight, Lighting
 from sabench.simulation.rendering.lamps import Lamps, facing_of, place_lamps
-from sabench.simulation.rendering.mesh_intersection import mesh_of
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.simulation.rendering.particles_traced import balls, ellipsoids, glow_of
+from sabench.simulation.rendering.pixel_truth import mesh_of
 from sabench.utils import backend
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, unit
 
 if TYPE_CHECKING:
     from sabench.simulation.rendering.particle_integrator import GlowingBalls
@@ -260,7 +260,7 @@ def _stacks(tank: Tank, origin: F64) -> tuple[Stack | None, Stack | None]:
 def _panel(light: Backlight | None, origin: F64, full: float) -> LightPanel | None:
     if light is None:
         return None
-    normal = np.asarray(light.normal) / np.linalg.norm(light.normal)
+    normal = unit(light.normal)
     across = np.asarray(light.x_axis) - np.dot(light.x_axis, normal) * normal
     across /= np.linalg.norm(across)
     width, height = light.size_mm

@@ -230,7 +230,15 @@ def render(
     scale = camera.etendue()
     stage_of = Stager(camera, tank, bubbles, bodies, lights, occluders, images, particles_mm)
     floor = _DARK * stage_of.brightest
-    moments = _moments(camera, bubbles, exposure_s)
+    moments = 1  # of the exposure: one for each half pixel of the longest path
+    if len(bubbles) and exposure_s and np.any(bubbles.velocity_mm_s):
+        ends = [
+            camera.project(bubbles.center_mm + sign * 0.5 * exposure_s * bubbles.velocity_mm_s)[0]
+            for sign in (-1.0, 1.0)
+        ]
+        lengths = np.linalg.norm(ends[1] - ends[0], axis=1)
+        if np.isfinite(lengths).any():
+            moments = int(np.ceil(2.0 * np.nanmax(lengths)))
     delays = exposure_s * ((np.arange(moments) + 0.5) / moments - 0.5)
     everywhere = np.ones((camera.rows, camera.columns), dtype=np.bool_)
     tally = PassTally(everywhere if counted is None else counted)
@@ -285,15 +293,3 @@ def _list_passes(
         for number in range(before[k], before[k] + more[k]):
             pixels[n], turn[n], stream[n] = some[k], number // STREAMS, number % STREAMS
             n += 1
-
-
-def _moments(camera: Camera, bubbles: Bubbles, exposure_s: float) -> int:
-    """Count the rendered moments: one for each half pixel of the longest path."""
-    if not len(bubbles) or exposure_s == 0.0 or not np.any(bubbles.velocity_mm_s):
-        return 1
-    ends = [
-        camera.project(bubbles.center_mm + sign * 0.5 * exposure_s * bubbles.velocity_mm_s)[0]
-        for sign in (-1.0, 1.0)
-    ]
-    lengths = np.linalg.norm(ends[1] - ends[0], axis=1)
-    return int(np.ceil(2.0 * np.nanmax(lengths))) if np.isfinite(lengths).any() else 1

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.refraction import AnyWall, Layer, Wall, trace_into_fluid, transmittance
+from sabench.geometry.refraction import Layer, Wall, trace_into_fluid, transmittance
 from sabench.geometry.rigid_motion import cross
-from sabench.scenes.illumination import EntrySpec, Illumination, Lighting
-from sabench.utils.arrays import F64, triple
+from sabench.scenes.illumination import Illumination, Lighting
+from sabench.utils.arrays import F64, triple, unit
 from sabench.utils.errors import InputError
 
 PLANCK_J_S = 6.62607015e-34
@@ -23,7 +23,7 @@ def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
     a gaussian is exp(-8 s^2 / w^2) with the e^-2 width w, and the same energy. A uniform height is
     that of an unlimited top-hat.
     """
-    normal, along = _unit(light.sheet_normal), _unit(light.direction)
+    normal, along = unit(light.sheet_normal), unit(light.direction)
     offset = positions_mm - center_mm
     across = offset @ normal - (light.shift_mm or 0.0)
     height = offset @ cross(normal, along)
@@ -55,19 +55,21 @@ def enter_fluid(light: Illumination, center_mm: F64, fluid_index: float) -> Illu
     """
     if light.entry is None:
         return light
-    wall = _window(light.entry, fluid_index)
+    window = light.entry
+    layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in window.layers)
+    facing = triple(unit(window.normal))
+    wall = Wall(window.point_mm, facing, window.air_index, layers, fluid_index)
     inward, along, normal = (
         np.asarray(wall.normal),
-        _unit(light.direction),
-        _unit(light.sheet_normal),
+        unit(light.direction),
+        unit(light.sheet_normal),
     )
     start = center_mm + normal * (light.shift_mm or 0.0) - _FAR_MM * along
     rays = trace_into_fluid(wall, start, along[None])
     if not rays.valid[0] or (center_mm - rays.origins_mm[0]) @ inward <= 0.0:
         raise InputError(
             "illumination.entry: expected a window between the laser and the volume, which its "
-            f"light reaches from outside, got {light.entry.point_mm} with the normal "
-            f"{light.entry.normal}"
+            f"light reaches from outside, got {window.point_mm} with the normal {window.normal}"
         )
     inside = rays.directions[0]
     line, plane = _cut(inward, normal, along), inward
@@ -87,12 +89,6 @@ def enter_fluid(light: Illumination, center_mm: F64, fluid_index: float) -> Illu
         "entry": None,
     }
     return light.model_copy(update=update)
-
-
-def _window(entry: EntrySpec, fluid_index: float) -> Wall:
-    layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in entry.layers)
-    normal = triple(_unit(entry.normal))
-    return Wall(entry.point_mm, normal, entry.air_index, layers, fluid_index)
 
 
 def _cut(inward: F64, normal: F64, along: F64) -> F64:
@@ -121,10 +117,6 @@ def _turn(
     return triple(float(np.asarray(field) @ axis) * axis + part * cross(axis, inside))
 
 
-def _unit(vector: tuple[float, float, float]) -> F64:
-    return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
-
-
 @dataclass(frozen=True)
 class Lamps:
     """Lamps in the frame of the render.
@@ -144,11 +136,20 @@ def place_lamps(
     """Build lamps that give a white surface at the centre its exposure.
 
     The surface faces the wall; ambient light is included and all powers are multiplied by `scale`.
+    Lamps in the fluid, and those in front of a cylinder, have no other apparent position.
     """
     facing = facing_of(camera)
-    positions = np.array(
-        [_find_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps]
-    )
+    wall, places = camera.wall, []
+    for lamp in lighting.lamps:
+        place = np.asarray(lamp.center_mm)
+        before = -float(wall.depth_of(place)) if wall else 0.0
+        if isinstance(wall, Wall) and before > 0.0:  # the apparent one, for steep rays
+            layers = sum(layer.thickness_mm / layer.index for layer in wall.layers)
+            optical = before / wall.indices[0] + layers
+            shift = before + wall.thickness_mm - optical * wall.indices[-1]
+            place = place + shift * np.asarray(wall.normal)
+        places.append(place)
+    positions = np.array(places)
     powers = np.array([lamp.power for lamp in lighting.lamps])
     directions = positions - center_mm
     lengths = np.linalg.norm(directions, axis=1)
@@ -166,18 +167,3 @@ def facing_of(camera: Camera) -> F64:
     if camera.wall is None:
         return np.asarray(camera.rotation[2])
     return camera.wall.normal_at(np.asarray(camera.center_mm))
-
-
-def _find_apparent(wall: AnyWall | None, lamp_mm: F64) -> F64:
-    """Find the apparent position of a lamp for rays that cross a plane wall steeply.
-
-    A lamp in the fluid stays where it is, and so does one in front of a cylinder.
-    """
-    before = -float(wall.depth_of(lamp_mm)) if wall else 0.0
-    if not isinstance(wall, Wall) or before <= 0.0:
-        return lamp_mm
-    indices = wall.indices
-    optical = before / indices[0] + sum(layer.thickness_mm / layer.index for layer in wall.layers)
-    return np.asarray(
-        lamp_mm + (before + wall.thickness_mm - optical * indices[-1]) * np.asarray(wall.normal)
-    )

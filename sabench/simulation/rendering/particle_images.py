@@ -1,4 +1,4 @@
-"""Particle images in one camera: light paths, position, photons, size.
+"""Particle images in one camera: light paths and routes, position, photons, size.
 
 Both renderers start from these figures. The lens is a round aperture. Moving the pinhole over it
 gives, through the wall, the directions of light from a particle that pass it: the spread of these
@@ -11,8 +11,7 @@ exact paths of a lattice of Chebyshev's points in a box, and only the pixel is e
 import functools
 import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,11 @@ import numpy as np
 from sabench.api.arrays import Array
 from sabench.api.truth import Particles, ParticleView
 from sabench.geometry.camera import Camera
+from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.lens import UPRIGHT, from_sensor, onto_sensor, stretch
-from sabench.geometry.occluders import Disc, in_shadow
-from sabench.geometry.refraction import trace_to_points, transmittance
+from sabench.geometry.occluders import Disc
+from sabench.geometry.refraction import Layer, Wall, trace_to_points, transmittance
 from sabench.scenes import Scene
-from sabench.simulation.rendering.light_routes import Route, direct
 from sabench.simulation.rendering.particle_light import Scatterers, intensity
 from sabench.utils.arrays import F64, I64, Bool, in_box, triple
 from sabench.utils.compiled import numba
@@ -95,33 +94,33 @@ def find_paths(camera: Camera, points_mm: F64, box: Box | None = None) -> LightP
     pixel, valid = camera.project(points_mm)
     table = np.empty((len(smooth.coefficients), len(points_mm)))
     _evaluate_all(points_mm, low, high, smooth, table)
-    paths = LightPaths(pixel, valid, *_columns(table))
-    return (
-        paths
-        if inside.all()
-        else _replace(paths, ~inside, _find_exactly(camera, points_mm[~inside]))
-    )
-
-
-def object_steps(camera: Camera, points_mm: F64, direction: F64) -> F64:
-    """Compute the shifts (n, 2, 3) of points, mm, that move their images by a pixel.
-
-    Along columns and rows; they lie across the light paths of the given directions (n, 3).
-    """
-    steps: F64 = _apply_in_chunks(_object_shape, camera, points_mm, direction)[1]
-    return steps
+    parts = [table[end - SMOOTH[name] : end] for name, end in _ENDS.items()]
+    paths = LightPaths(pixel, valid, *(part.T if len(part) > 1 else part[0] for part in parts))
+    if inside.all():
+        return paths
+    exact = _find_exactly(camera, points_mm[~inside])
+    changed = {name: value.copy() for name, value in vars(paths).items()}
+    for name, value in changed.items():
+        value[~inside] = getattr(exact, name)
+    return LightPaths(**changed)
 
 
 def _find_exactly(camera: Camera, points_mm: F64) -> LightPaths:
-    return LightPaths(*_apply_in_chunks(_see, camera, points_mm))
+    """Find exact paths chunk by chunk.
 
-
-def _replace(paths: LightPaths, rows: Bool, others: LightPaths) -> LightPaths:
-    """Replace the paths of some rows by others."""
-    changed = {name: value.copy() for name, value in vars(paths).items()}
-    for name, value in changed.items():
-        value[rows] = getattr(others, name)
-    return LightPaths(**changed)
+    What lies between its steps then stays in the cache: three times as fast for many points.
+    """
+    pinhole, chunks = np.asarray(camera.center_mm), []
+    for first in range(0, max(len(points_mm), 1), _CHUNK):
+        points = points_mm[first : first + _CHUNK]
+        paths = trace_to_points(camera.wall, pinhole, points)
+        leaving, arriving = paths.leaving, paths.arriving
+        seen = camera.pixels_of(leaving, paths.valid)
+        half, blur, solid = _through_aperture(camera, points, arriving)
+        magnification, _ = _object_shape(camera, points, arriving)
+        passed = transmittance(camera.wall, pinhole, leaving)
+        chunks.append((*seen, leaving, arriving, half, solid, blur, magnification, passed))
+    return LightPaths(*(np.concatenate(parts) for parts in zip(*chunks, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -136,58 +135,44 @@ class _Smooth:
 def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
     """Fit polynomials to all that changes slowly; None where no degree will do.
 
-    A volume that light reaches in part, such as one cut by a face, has no polynomials.
+    They interpolate exact paths at Chebyshev's points, and are compared with others. A volume that
+    light reaches in part, such as one cut by a face, has no polynomials.
     """
     low, high = np.asarray(box)
     places = np.random.default_rng(0).uniform(-1.0, 1.0, (_CHECKS, 3))
     exact = _find_exactly(camera, low + 0.5 * (places + 1.0) * (high - low))
     if not exact.valid.all():
         return None
-    truth = _table(exact)
+    truth = np.column_stack([getattr(exact, name) for name in SMOOTH])
     scale = np.abs(truth).max(axis=0)
     blur = slice(_ENDS["blur_px2"] - SMOOTH["blur_px2"], _ENDS["blur_px2"])
     scale[blur] = max(float(scale[blur].max()), _LEAST_BLUR_PX2)
     for degree in _DEGREES:
-        if (every := _fit(camera, low, high, degree)) is None:
+        count = degree + 1
+        angles = np.pi * (np.arange(count) + 0.5) / count
+        nodes = np.stack(np.meshgrid(*[np.cos(angles)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        paths = _find_exactly(camera, low + 0.5 * (nodes + 1.0) * (high - low))
+        if not paths.valid.all():
             return None
-        sizes = np.abs(every.coefficients) / scale[:, None]
+        table = np.column_stack([getattr(paths, name) for name in SMOOTH])
+        values = table.reshape(count, count, count, -1)
+        basis = np.cos(np.outer(np.arange(count), angles)) * 2.0 / count
+        basis[0] *= 0.5
+        weights = np.einsum("ai,bj,ck,ijkq->abcq", basis, basis, basis, values, optimize=True)
+        every = itertools.product(range(count), repeat=3)
+        terms = np.array([term for term in every if sum(term) <= degree])
+        coefficients = np.ascontiguousarray(weights[tuple(terms.T)].T)
+        # without the smallest, as many as there may be errors of half of what counts as none
+        sizes = np.abs(coefficients) / scale[:, None]
         rising = np.argsort(sizes.max(axis=0))
         together = np.cumsum(sizes[:, rising], axis=1).max(axis=0)
         kept = np.sort(rising[together > _EXACT / 2.0])
-        smooth = _Smooth(every.terms[kept], np.ascontiguousarray(every.coefficients[:, kept]))
+        smooth = _Smooth(terms[kept], np.ascontiguousarray(coefficients[:, kept]))
         found = np.empty((truth.shape[1], len(truth)))
         _evaluate_all(places, -np.ones(3), np.ones(3), smooth, found)
         if (np.abs(found.T - truth).max(axis=0) <= _EXACT * scale).all():
             return smooth
     return None
-
-
-def _fit(camera: Camera, low: F64, high: F64, degree: int) -> _Smooth | None:
-    """Interpolate exact paths at Chebyshev's points; None if one has no path."""
-    count = degree + 1
-    angles = np.pi * (np.arange(count) + 0.5) / count
-    nodes = np.stack(np.meshgrid(*[np.cos(angles)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    paths = _find_exactly(camera, low + 0.5 * (nodes + 1.0) * (high - low))
-    if not paths.valid.all():
-        return None
-    values = _table(paths).reshape(count, count, count, -1)
-    basis = np.cos(np.outer(np.arange(count), angles)) * 2.0 / count
-    basis[0] *= 0.5
-    weights = np.einsum("ai,bj,ck,ijkq->abcq", basis, basis, basis, values, optimize=True)
-    every = itertools.product(range(count), repeat=3)
-    terms = np.array([term for term in every if sum(term) <= degree])
-    return _Smooth(terms, np.ascontiguousarray(weights[tuple(terms.T)].T))
-
-
-def _table(paths: LightPaths) -> F64:
-    """Collect the slow quantities of n paths, (n, quantity)."""
-    return np.column_stack([getattr(paths, name) for name in SMOOTH])
-
-
-def _columns(table: F64) -> list[F64]:
-    """Take a table (quantity, n) apart, in the order of `LightPaths`."""
-    parts = [table[end - SMOOTH[name] : end] for name, end in _ENDS.items()]
-    return [part.T if len(part) > 1 else part[0] for part in parts]
 
 
 def _evaluate_all(points: F64, low: F64, high: F64, smooth: _Smooth, out: F64) -> None:
@@ -228,75 +213,40 @@ def _evaluate_block(
             out[q, first + n] = found[q, n]
 
 
-def _apply_in_chunks(
-    function: Callable[..., tuple[F64 | Bool, ...]], camera: Camera, *points: F64
-) -> list[Any]:
-    """Apply a function of points (n, 3) chunk by chunk.
-
-    What lies between its steps then stays in the cache: three times as fast for many points.
-    """
-    chunks = [
-        function(camera, *(each[first : first + _CHUNK] for each in points))
-        for first in range(0, max(len(points[0]), 1), _CHUNK)
-    ]
-    return [np.concatenate(parts) for parts in zip(*chunks, strict=True)]
-
-
-def _see(camera: Camera, points: F64) -> tuple[F64 | Bool, ...]:
-    """Find exact paths, in the order of the attributes of `LightPaths`."""
-    pinhole = np.asarray(camera.center_mm)
-    paths = trace_to_points(camera.wall, pinhole, points)
-    pixel, valid = camera.pixels_of(paths.leaving, paths.valid)
-    half, blur, solid = _through_aperture(camera, points, paths.arriving)
-    magnification, _ = _object_shape(camera, points, paths.arriving)
-    passed = transmittance(camera.wall, pinhole, paths.leaving)
-    return pixel, valid, paths.leaving, paths.arriving, half, solid, blur, magnification, passed
-
-
 def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64, F64]:
     """Compute half angle, defocus and solid angle at points, as `LightPaths` has."""
-    radius = camera.aperture_radius_mm
-    upright = replace(camera, tilt_deg=UPRIGHT)
+    radius, lenses = camera.aperture_radius_mm, camera.aperture_radius_mm * np.eye(2)
+    upright, middle = replace(camera, tilt_deg=UPRIGHT), np.asarray(camera.principal_point_px)
     rotations, smears = [], []
-    for axis, (right, down) in enumerate(((radius, 0.0), (0.0, radius))):
+    for axis, lens in enumerate(lenses):
         ends = []
         for sign in (1.0, -1.0):
-            moved = upright.shifted(sign * right, sign * down)
+            moved = upright.shifted(*(sign * lens).tolist())
             paths = trace_to_points(moved.wall, np.asarray(moved.center_mm), points)
             ends.append((paths.arriving, moved.pixels_of(paths.leaving, paths.valid)[0]))
         rotations.append((ends[0][0] - ends[1][0]) / 2.0)
-        smears.append(_smear(camera, axis, ends[0][1], ends[1][1]) / 4.0)
+        # both ends of the lens see a point in focus apart on sensors that move with them, and at
+        # the same place of the true one
+        if camera.tilt_deg == UPRIGHT:
+            smear = ends[0][1] - ends[1][1]
+            smear[:, axis] += 2.0 * radius * camera.focal_px / camera.focus_mm
+        else:
+            places = [
+                onto_sensor(
+                    camera.tilt_deg,
+                    (pixel - middle) / camera.focal_px + sign * lens / camera.focus_mm,
+                    sign * lens / camera.principal_distance_mm,
+                )[0]
+                for sign, (_, pixel) in zip((1.0, -1.0), ends, strict=True)
+            ]
+            smear = (places[0] - places[1]) * camera.focal_px
+        smears.append(smear / 4.0)
     solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(rotations[0], rotations[1]), chief))
     return (
         np.linalg.norm(rotations[0], axis=1),
         np.sum([smear[:, [0, 1, 0]] * smear[:, [0, 1, 1]] for smear in smears], axis=0),
         solid_angle,
     )
-
-
-def _smear(camera: Camera, axis: int, first: F64, second: F64) -> F64:
-    """Subtract places on the sensor (n, 2) of light through both ends of a lens.
-
-    `first` and `second` are the pixels of upright cameras that are moved there, along `axis`. A
-    point in focus would shift on their sensors, and is at rest on the true one.
-    """
-    radius = camera.aperture_radius_mm
-    if camera.tilt_deg == UPRIGHT:
-        smear = first - second
-        smear[:, axis] += 2.0 * radius * camera.focal_px / camera.focus_mm
-        return smear
-    lens = np.zeros(2)
-    lens[axis] = radius
-    places = [
-        onto_sensor(
-            camera.tilt_deg,
-            (pixel - np.asarray(camera.principal_point_px)) / camera.focal_px
-            + sign * lens / camera.focus_mm,
-            sign * lens / camera.principal_distance_mm,
-        )[0]
-        for sign, pixel in ((1.0, first), (-1.0, second))
-    ]
-    return (places[0] - places[1]) * camera.focal_px
 
 
 def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:
@@ -322,6 +272,103 @@ def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64
         ).reshape(-1, 2, 2)
         inverse = adjugate / determinant[:, None, None]
     return np.sqrt(np.abs(determinant)), np.einsum("nba,nbk->nak", inverse, basis)
+
+
+# A reflection is unfolded: seen from the camera, a mirrored particle lies behind a thicker wall, on
+# a straight route of refractions alone. What a face reflects is Fresnel's share for unpolarised
+# light.
+
+
+@dataclass(frozen=True)
+class Route:
+    """Route of light to one camera, by default the one without reflections.
+
+    Attributes
+    ----------
+    wall : what the light crosses, unfolded; None in plain air.
+    normal : (3,) unit vector across the faces that reflect; any if there are none.
+    offset_mm : further distance of the unfolded particle along the normal: its own distance from
+        the plane below, or none.
+    mirror_mm : position along the normal of the plane that mirrors particles; None if an even
+        number of faces reflects.
+    faces : refractive indices on both sides of each face that reflects.
+    """
+
+    wall: Wall | CylinderWall | None
+    normal: F64 = field(default_factory=functools.partial(np.zeros, 3))
+    offset_mm: float = 0.0
+    mirror_mm: float | None = None
+    faces: tuple[tuple[float, float], ...] = ()
+
+    def behind(self, camera: Camera) -> Camera:
+        """Return the camera in front of the unfolded wall."""
+        return camera if self.wall is camera.wall else replace(camera, wall=self.wall)
+
+    def place(self, points_mm: F64) -> F64:
+        """Compute where the camera sees particles (n, 3), unfolded."""
+        if not self.faces:
+            return points_mm
+        along = self.offset_mm * self.normal
+        if self.mirror_mm is None:
+            return np.asarray(points_mm + along)
+        depth = self.mirror_mm - points_mm @ self.normal
+        return np.asarray(points_mm + 2.0 * depth[:, None] * self.normal + along)
+
+    def at_particle(self, arriving: F64) -> F64:
+        """Turn directions (n, 3) at unfolded particles into those at the particles."""
+        if self.mirror_mm is None:
+            return arriving
+        return np.asarray(arriving - 2.0 * (arriving @ self.normal)[:, None] * self.normal)
+
+    def reflected(self, leaving: F64) -> F64:
+        """Compute the reflected share (n,) of light along unit directions (n, 3).
+
+        They are those away from the pinhole, in its medium.
+        """
+        share = np.ones(len(leaving))
+        if self.wall is None or not self.faces:
+            return share
+        square = (self.wall.air_index**2) * (1.0 - (leaving @ self.normal) ** 2)  # (n sin)^2
+        for before, after in self.faces:
+            # n cos
+            inner, outer = (np.sqrt(np.maximum(n**2 - square, 0.0)) for n in (before, after))
+            across = (inner - outer) / (inner + outer)
+            along = (after**2 * inner - before**2 * outer) / (after**2 * inner + before**2 * outer)
+            share *= np.asarray(0.5 * (across**2 + along**2))
+        return share
+
+
+def reflections(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:
+    """List the routes with reflections: one behind the fluid or two before it.
+
+    Behind it are the faces of the back wall, with layers ordered from the fluid to the air; before
+    it, light goes to and fro once between two faces of the wall. Routes with more reflections carry
+    less than a thousandth of the light.
+    """
+    indices, layers, normal = wall.indices, wall.layers, np.asarray(wall.normal)
+    routes = []
+    for outer in range(len(layers)):
+        for inner in range(outer + 1, len(layers) + 1):
+            there = layers[outer:inner]
+            layers_unfolded = (*layers[:inner], *there[::-1], *there, *layers[inner:])
+            unfolded = replace(wall, layers=layers_unfolded, depth_mm=None)
+            extra = 2.0 * sum(layer.thickness_mm for layer in there)
+            faces = ((indices[outer + 1], indices[outer]), (indices[inner], indices[inner + 1]))
+            pairs = tuple((float(a), float(b)) for a, b in faces)
+            routes.append(Route(unfolded, normal, extra, faces=pairs))
+    if wall.depth_mm is None:
+        return routes
+    inner_mm = float(np.asarray(wall.point_mm) @ normal) + wall.thickness_mm
+    mirror_mm = inner_mm + wall.depth_mm
+    fluid = Layer("fluid", wall.fluid_index, wall.depth_mm)
+    media = (wall.fluid_index, *(layer.index for layer in rear), wall.air_index)
+    for face in range(len(rear) + 1):
+        passed = rear[:face]
+        layers_unfolded = (*layers, fluid, *passed, *passed[::-1])
+        unfolded = replace(wall, layers=layers_unfolded, depth_mm=None)
+        extra = 2.0 * sum(layer.thickness_mm for layer in passed)
+        routes.append(Route(unfolded, normal, extra, mirror_mm, ((media[face], media[face + 1]),)))
+    return routes
 
 
 _TAIL, _LEAST_REACH = 4.0, 4  # widths, and more pixels, to the end of a discrete Gaussian
@@ -360,7 +407,11 @@ class ParticleImages(ParticleView):
         (n, 2, 3). They are two conjugate half axes of the ellipse that one standard deviation of
         the image has on the particle's side of the wall.
         """
-        steps = object_steps(camera, position_mm, self.direction)
+        firsts = range(0, max(len(position_mm), 1), _CHUNK)
+        parts = [slice(first, first + _CHUNK) for first in firsts]
+        steps: F64 = np.concatenate(
+            [_object_shape(camera, position_mm[one], self.direction[one])[1] for one in parts]
+        )
         across, down, both = self.spread_px2.T
         first = np.sqrt(across)
         slant = both / np.where(first > 0.0, first, 1.0)
@@ -378,27 +429,36 @@ def image_particles(
     scatterers: Scatterers | None,
     occluders: tuple[Disc, ...] = (),
     route: Route | None = None,
+    share: float = 1.0,
 ) -> ParticleImages:
     """Compute position, brightness and size of every particle's image.
 
     By default the route is the direct one. On a route with reflections, all is that of the unfolded
-    particle, given by `Route.place` and `Route.behind`; the light is that of the particle.
+    particle, given by `Route.place` and `Route.behind`; the light is that of the particle. The
+    camera records a share of the pulse.
 
     Photons = fluence (`lamps.fluence`) x scattered share per solid angle (`intensity`) x solid
     angle of the lens x Fresnel transmission of the wall (`find_paths` has both). The image is
     Gaussian with the summed variances of the particle's disc (M d / 4), of diffraction (Airy,
     `_AIRY`) and of defocus (an ellipse, axes / 4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
-    route = route or direct(camera.wall)
+    route = route or Route(camera.wall)
     camera, place_mm = route.behind(camera), route.place(particles.position_mm)
-    box = _box(scene, route) if len(particles) > _MANY else None
+    box: Box | None = None
+    if len(particles) > _MANY:  # the apparent box of the volume
+        half = _SLACK * np.asarray(scene.volume.size_mm) / 2.0
+        corners = np.asarray(list(itertools.product((-1.0, 1.0), repeat=3))) * half
+        apparent = route.place(np.asarray(scene.volume.center_mm) + corners)
+        box = triple(apparent.min(axis=0)), triple(apparent.max(axis=0))
     seen = find_paths(camera, place_mm, box)
     pinhole = np.asarray(camera.center_mm)
-    unobstructed = seen.valid & ~in_shadow(occluders, pinhole, seen.leaving)
+    unobstructed = seen.valid
+    for disc in occluders:
+        unobstructed = unobstructed & ~disc.stops(pinhole, seen.leaving)
     leaving = route.at_particle(seen.arriving)
     sent = intensity(scene, particles, leaving, seen.half_angle, scatterers)
     sent *= route.reflected(seen.leaving)
-    photons = np.where(unobstructed, sent * seen.solid_angle * seen.passed, 0.0)
+    photons = np.where(unobstructed, sent * seen.solid_angle * seen.passed, 0.0) * share
     given = scene.cameras.particle_sigma_px
     spread = (
         _spread_px2(scene, camera, particles.diameter_mm, seen)
@@ -406,16 +466,8 @@ def image_particles(
         else np.tile([given**2, given**2, 0.0], (len(particles), 1))
     )
     sigma = (spread[:, 0] * spread[:, 1] - spread[:, 2] ** 2) ** 0.25
-    visible = unobstructed & camera.contains(seen.pixel)
-    return ParticleImages(seen.pixel, photons, sigma, visible, sent, seen.arriving, spread)
-
-
-def _box(scene: Scene, route: Route) -> Box:
-    """Return the apparent box of the scene's volume for a camera on a route."""
-    half = _SLACK * np.asarray(scene.volume.size_mm) / 2.0
-    corners = np.asarray(list(itertools.product((-1.0, 1.0), repeat=3))) * half
-    seen = route.place(np.asarray(scene.volume.center_mm) + corners)
-    return triple(seen.min(axis=0)), triple(seen.max(axis=0))
+    visible = unobstructed & camera.contains(seen.pixel) & (share > 0.0)
+    return ParticleImages(seen.pixel, photons, sigma, visible, sent * share, seen.arriving, spread)
 
 
 def _spread_px2(scene: Scene, camera: Camera, diameter_mm: F64, seen: LightPaths) -> F64:

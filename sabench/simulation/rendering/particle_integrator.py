@@ -68,7 +68,9 @@ def integrate_particles(
     device = _Device(cloud, interfaces, camera, origin, *lists)
 
     def trace(sub: Any, pixel: Any) -> Any:
-        rays = _rays(camera, origin, pixel, sub, side)
+        across = mi.Float(pixel % camera.columns) + (mi.Float(sub % side) + 0.5) / side - 0.5
+        down = mi.Float(pixel // camera.columns) + (mi.Float(sub // side) + 0.5) / side - 0.5
+        rays = pinhole_rays(camera, origin, across, down)
         weight = dr.select(mark_unobstructed(rays, occluders, origin), mi.Float(1.0), 0.0)
         if interfaces:
             rays, weight = _enter(walls, rays, weight, device)
@@ -98,13 +100,6 @@ class _Device:
         self.interfaces = dr.opaque(mi.UInt32, interfaces)
         distance = float(np.linalg.norm(np.asarray(camera.center_mm) - origin))
         self.off_wall = dr.opaque(mi.Float, _ROUNDING * distance)
-
-
-def _rays(camera: Camera, origin: F64, pixel: Any, sub: Any, side: int) -> Any:
-    row, column = pixel // camera.columns, pixel % camera.columns
-    across = mi.Float(column) + (mi.Float(sub % side) + 0.5) / side - 0.5
-    down = mi.Float(row) + (mi.Float(sub // side) + 0.5) / side - 0.5
-    return pinhole_rays(camera, origin, across, down)
 
 
 @dr.syntax

@@ -2,7 +2,7 @@
 
 Source of the Mie series: Bohren and Huffman (1983), chapter 4 and appendix A. The scattering of one
 size is tabulated over angles where a particle of that size occurs. Sizes lie on a lattice
-(`worlds.library.size_lattice`), so that a particle's brightness is that of its own diameter,
+(`worlds.tracers`), so that a particle's brightness is that of its own diameter,
 independent of the other particles in the frame.
 """
 
@@ -19,11 +19,15 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import trace_to_points
 from sabench.scenes import Scene
 from sabench.simulation.rendering.lamps import fluence
-from sabench.utils.arrays import C128, F32, F64, I64
+from sabench.utils.arrays import C128, F32, F64, I64, unit
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
-from sabench.worlds.library.sizes import PER_OCTAVE, lattice_diameters_mm, size_numbers
-from sabench.worlds.tracers import material_numbers
+from sabench.worlds.tracers import (
+    PER_OCTAVE,
+    lattice_diameters_mm,
+    material_numbers,
+    size_numbers,
+)
 
 _ROWS, _ANGLES = 512, 2048  # sizes and angles of one product of matrices
 
@@ -49,7 +53,11 @@ def intensities(index: complex, size_parameters: F64, angles_rad: F64) -> tuple[
         for left in range(0, len(angles_rad), _ANGLES):
             columns = slice(left, left + _ANGLES)
             pi, tau = _angular_functions(np.cos(angles_rad[columns]), a.shape[1])
-            total, difference = _product(a + b, pi + tau), _product(a - b, pi - tau)
+            sums = []  # complex matrices times real ones
+            for series, functions in ((a + b, pi + tau), (a - b, pi - tau)):
+                parts = np.concatenate([series.real, series.imag]) @ functions
+                sums.append(parts[: len(series)] + 1j * parts[len(series) :])
+            total, difference = sums
             across[rows, columns] = np.abs(total + difference) ** 2 / 4.0
             along[rows, columns] = np.abs(total - difference) ** 2 / 4.0
     return across, along
@@ -125,12 +133,6 @@ def _angular_functions(cosines: F64, count: int) -> tuple[F64, F64]:
     return pi, tau
 
 
-def _product(series: C128, functions: F64) -> C128:
-    """Multiply a complex matrix by a real one."""
-    parts = np.concatenate([series.real, series.imag]) @ functions
-    return np.asarray(parts[: len(series)] + 1j * parts[len(series) :])
-
-
 _PER_LOBE = 12  # angles for the narrowest lobe, of a width of wavelength / diameter
 _MARGIN = 3  # angles beyond the range
 _NODES = 64  # most points across an aperture
@@ -180,11 +182,15 @@ class Scattering:
         numbers, out = size_numbers(diameters_mm), np.zeros(len(diameters_mm))
         arrives = np.isfinite(angles_rad) & np.isfinite(half_angles_rad)
         octaves = np.where(arrives, numbers // PER_OCTAVE, _NONE)
-        for octave in np.flatnonzero(np.bincount(octaves - _NONE)[1:]) + 1 + _NONE:
+        for octave in (np.flatnonzero(np.bincount(octaves - _NONE)[1:]) + 1 + _NONE).tolist():
+            if octave not in self._octaves:
+                largest = float(lattice_diameters_mm(np.array((octave + 1) * PER_OCTAVE)))
+                step = min(self._wavelength_mm / largest, 1.0) / _PER_LOBE
+                given = self._index, np.pi / self._wavelength_mm, self._angles_rad
+                self._octaves[octave] = _Octave(octave, step, *given)
             chosen = np.flatnonzero(octaves == octave)
             angles, half = angles_rad[chosen], half_angles_rad[chosen]
-            reach = float((angles - half).min()), float((angles + half).max())
-            table = self._octave(int(octave), numbers[chosen], reach)
+            table = self._octaves[octave]
             out[chosen] = table.average(numbers[chosen], angles, half, in_plane[chosen])
         return out * (self._wavelength_mm / (2.0 * np.pi)) ** 2
 
@@ -198,17 +204,6 @@ class Scattering:
         sizes, which = np.unique(diameters_mm, return_inverse=True)
         efficiency = extinction_efficiency(self._index, np.pi * sizes / self._wavelength_mm)
         return np.asarray((efficiency * np.pi / 4.0 * sizes**2)[which])
-
-    def _octave(self, octave: int, numbers: I64, reach_rad: tuple[float, float]) -> _Octave:
-        if octave not in self._octaves:
-            largest = float(lattice_diameters_mm(np.array((octave + 1) * PER_OCTAVE)))
-            step = min(self._wavelength_mm / largest, 1.0) / _PER_LOBE
-            wavenumber = np.pi / self._wavelength_mm
-            self._octaves[octave] = _Octave(octave, step, self._index, wavenumber, self._angles_rad)
-        table = self._octaves[octave]
-        table.widen(reach_rad)
-        table.add(numbers)
-        return table
 
 
 class _Octave:
@@ -229,15 +224,19 @@ class _Octave:
         wavenumber: float,  # which times a diameter is its size parameter
         reach_rad: tuple[float, float],
     ) -> None:
-        self._octave, self._step_rad, self._index = octave, step_rad, index
+        self._lowest, self._step_rad, self._index = octave * PER_OCTAVE, step_rad, index
         self._wavenumber = wavenumber
         self._first, self._last = self._multiples(reach_rad)
         self._numbers: I64 = np.zeros(0, dtype=np.int64)  # of the rows
         self._places: I64 = np.full(PER_OCTAVE, -1)  # row of each size; -1: none yet
         self.rows = self._intensities(self._numbers, self._first, self._last)
 
-    def widen(self, reach_rad: tuple[float, float]) -> None:
-        """Extend the table to more angles; what it holds stays as it is."""
+    def average(self, numbers: I64, angles_rad: F64, half_rad: F64, in_plane: F64) -> F64:
+        """Average |S|^2 (n,) over apertures.
+
+        New sizes and angles are added to the table; what it holds stays as it is.
+        """
+        reach_rad = float((angles_rad - half_rad).min()), float((angles_rad + half_rad).max())
         first, last = self._multiples(reach_rad)
         if first < self._first:
             more = self._intensities(self._numbers, first, self._first - 1)
@@ -245,15 +244,16 @@ class _Octave:
         if last > self._last:
             more = self._intensities(self._numbers, self._last + 1, last)
             self.rows, self._last = np.concatenate([self.rows, more], axis=1), last
-
-    def add(self, numbers: I64) -> None:
-        """Tabulate new sizes."""
-        own = np.unique(numbers[self._places[numbers - self._octave * PER_OCTAVE] < 0])
+        own = np.unique(numbers[self._places[numbers - self._lowest] < 0])
         if len(own):
             more = self._intensities(own, self._first, self._last)
-            self._places[own - self._octave * PER_OCTAVE] = len(self.rows) + np.arange(len(own))
+            self._places[own - self._lowest] = len(self.rows) + np.arange(len(own))
             self.rows = np.concatenate([self.rows, more])
             self._numbers = np.concatenate([self._numbers, own])
+        places, out = self._places[numbers - self._lowest], np.empty(len(numbers))
+        at, half = angles_rad / self._step_rad - self._first, half_rad / self._step_rad
+        on_cores(_average, len(out), self.rows, places, at, half, in_plane, *_nodes(), out)
+        return out
 
     def _multiples(self, reach_rad: tuple[float, float]) -> tuple[int, int]:
         low, high = reach_rad
@@ -268,14 +268,6 @@ class _Octave:
         if not len(sizes):
             return np.zeros((0, len(angles), 2), dtype=np.float32)
         return np.stack(intensities(self._index, sizes, angles), axis=-1).astype(np.float32)
-
-    def average(self, numbers: I64, angles_rad: F64, half_rad: F64, in_plane: F64) -> F64:
-        """Average |S|^2 (n,) over apertures."""
-        places = self._places[numbers - self._octave * PER_OCTAVE]
-        out = np.empty(len(numbers))
-        at, half = angles_rad / self._step_rad - self._first, half_rad / self._step_rad
-        on_cores(_average, len(out), self.rows, places, at, half, in_plane, *_nodes(), out)
-        return out
 
 
 @functools.cache
@@ -351,7 +343,8 @@ class Scatterers:
 
     def cross_section(self, particles: Particles, angles: F64, half: F64, in_plane: F64) -> F64:
         """Compute differential cross-sections (n,), mm2/sr, as `Scattering` does."""
-        out, numbers = np.empty(len(particles)), self._numbers(particles)
+        numbers = material_numbers(self._tracer, self._seed, particles.id)
+        out = np.empty(len(particles))
         for number, material in enumerate(self._materials):
             own = numbers == number
             given = (angles[own], half[own], in_plane[own])
@@ -360,14 +353,12 @@ class Scatterers:
 
     def extinction_mm2(self, particles: Particles) -> F64:
         """Compute extinction cross-sections (n,)."""
-        out, numbers = np.empty(len(particles)), self._numbers(particles)
+        numbers = material_numbers(self._tracer, self._seed, particles.id)
+        out = np.empty(len(particles))
         for number, material in enumerate(self._materials):
             own = numbers == number
             out[own] = material.extinction_mm2(particles.diameter_mm[own])
         return out
-
-    def _numbers(self, particles: Particles) -> I64:
-        return material_numbers(self._tracer, self._seed, particles.id)
 
 
 @functools.lru_cache(maxsize=8)
@@ -412,8 +403,8 @@ def intensity(
     in_plane = np.full(len(particles), 0.5)
     if light.polarisation is not None:
         towards = -arriving
-        along = np.asarray(light.direction) / np.linalg.norm(light.direction)
-        field = np.asarray(light.polarisation) / np.linalg.norm(light.polarisation)
+        along = unit(light.direction)
+        field = unit(light.polarisation)
         across = towards - (towards @ along)[:, None] * along
         length = np.einsum("ij,ij->i", across, across)
         in_plane = np.asarray((across @ field) ** 2 / np.maximum(length, 1e-300))
@@ -436,19 +427,16 @@ def _transmission(
         cross_section = scatterers.extinction_mm2(particles)
     size = np.asarray(scene.volume.size_mm)
     per_mm = cross_section.sum() / size.prod()
-    along = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
+    along = unit(scene.light.direction)
     place = particles.position_mm - np.asarray(scene.volume.center_mm)
-    path = _way_out(place, np.broadcast_to(-along, place.shape), size)
-    return np.asarray(np.exp(-per_mm * (path + _way_out(place, -arriving, size))))
-
-
-def _way_out(place_mm: F64, direction: F64, size_mm: F64) -> F64:
-    """Compute distances (n,) to the faces of a box about the origin; 0 outside."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = (np.copysign(size_mm / 2.0, direction) - place_mm) / direction
-    distance = np.where(direction == 0.0, np.inf, distance)
-    inside = (np.abs(place_mm) <= size_mm / 2.0).all(axis=1)
-    return np.asarray(np.where(inside, distance.min(axis=1), 0.0))
+    inside = (np.abs(place) <= size / 2.0).all(axis=1)
+    path = np.zeros(len(place))  # to the faces of the volume, without what is outside
+    for direction in (np.broadcast_to(-along, place.shape), -arriving):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (np.copysign(size / 2.0, direction) - place) / direction
+        distance = np.where(direction == 0.0, np.inf, distance)
+        path += np.where(inside, distance.min(axis=1), 0.0)
+    return np.asarray(np.exp(-per_mm * path))
 
 
 def _angle_range(
@@ -473,5 +461,4 @@ def _angle_range(
 
 
 def _scattering_angles(direction: tuple[float, ...], arriving: F64) -> F64:
-    forward = np.asarray(direction) / np.linalg.norm(direction)
-    return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))
+    return np.asarray(np.arccos(np.clip(-arriving @ unit(direction), -1.0, 1.0)))

@@ -31,9 +31,14 @@ _MARGIN = 128  # parts around the image, beyond which light does not come back f
 def render_with_rings(camera: Camera, wavelength_nm: float, render: Callable[[Camera], F64]) -> F64:
     """Render photons (rows, columns) of Gaussian images, and give them rings.
 
-    Pixels are rendered in four parts, since the lens resolves more than the pixels do.
+    Pixels are rendered in four parts, since the lens resolves more than the pixels do. The image's
+    spectrum is multiplied by the ratio of Airy's and the Gaussian's transfer functions: Goodman,
+    Introduction to Fourier Optics (2005), eq. 6-31. Light that leaves the image is lost.
+
     `render` gives photons (rows, columns) in any camera.
     """
+    from scipy import fft  # takes long to load
+
     column, row = ((place + 0.5) * _PARTS - 0.5 for place in camera.principal_point_px)
     fine = replace(
         camera,
@@ -42,28 +47,18 @@ def render_with_rings(camera: Camera, wavelength_nm: float, render: Callable[[Ca
         pixel_mm=camera.pixel_mm / _PARTS,
         principal_point_px=(column, row),
     )
-    image = _filter(fine, render(fine), wavelength_nm)
-    shape = (camera.rows, _PARTS, camera.columns, _PARTS)
-    return np.asarray(image.reshape(shape).sum(axis=(1, 3)))
-
-
-def _filter(camera: Camera, photons: F64, wavelength_nm: float) -> F64:
-    """Multiply an image's spectrum by the ratio of the two transfer functions.
-
-    They are Airy's and the Gaussian's. Light that leaves the image is lost. Source: Goodman,
-    Introduction to Fourier Optics (2005), eq. 6-31.
-    """
-    from scipy import fft  # takes long to load
-
+    photons = render(fine)
     rows, columns = (fft.next_fast_len(size + _MARGIN, real=True) for size in photons.shape)
     frequency = np.hypot(fft.fftfreq(rows)[:, None], fft.rfftfreq(columns))
-    gaussian = np.exp(-2.0 * (np.pi * diffraction_px(camera, wavelength_nm) * frequency) ** 2)
-    number = camera.f_number * camera.principal_distance_mm / camera.focal_length_mm
-    x = np.minimum((frequency / (camera.pixel_mm / (wavelength_nm * 1e-6 * number))), 1.0)
+    gaussian = np.exp(-2.0 * (np.pi * diffraction_px(fine, wavelength_nm) * frequency) ** 2)
+    number = fine.f_number * fine.principal_distance_mm / fine.focal_length_mm
+    x = np.minimum((frequency / (fine.pixel_mm / (wavelength_nm * 1e-6 * number))), 1.0)
     ratio = np.asarray(2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2))) / gaussian
     spectrum = fft.rfft2(photons, (rows, columns)) * ratio
     filtered = fft.irfft2(spectrum, (rows, columns))[: photons.shape[0], : photons.shape[1]]
-    return np.asarray(np.maximum(filtered, 0.0))
+    image = np.asarray(np.maximum(filtered, 0.0))
+    shape = (camera.rows, _PARTS, camera.columns, _PARTS)
+    return np.asarray(image.reshape(shape).sum(axis=(1, 3)))
 
 
 # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
@@ -83,27 +78,26 @@ def render(camera: Camera, images: ParticleImages) -> F64:
     their centre outside the sensor still illuminate the pixels of their window. Pixels are exact to
     2e-8 of each particle's light, and the same for any number of threads.
     """
-    given = images.pixel, images.photons, images.spread_px2
     image = np.zeros((camera.rows, camera.columns))
-    lit, corner, size, tallest = _find_lit(*given, *image.shape)
-    edge = max(_BAND, tallest)
-    bands = -(-camera.rows // edge)
-    starts, windows = _sort_windows(*given, lit, corner, size, edge, bands)
+    starts, windows = _sort_windows(images.pixel, images.photons, images.spread_px2, *image.shape)
     for odd in range(2):  # even bands first, then odd
-        on_cores(_add_windows, (bands + 1 - odd) // 2, odd, image, starts, windows)
+        on_cores(_add_windows, (len(starts) - odd) // 2, odd, image, starts, windows)
     on_cores(_clear, len(image), image)
     return image
 
 
 @numba.njit(cache=True)
-def _find_lit(pixel: Any, photons: Any, spread: Any, rows: int, columns: int) -> Any:
-    """Find particles that illuminate an image.
+def _sort_windows(pixel: Any, photons: Any, spread: Any, rows: int, columns: int) -> Any:
+    """Sort particles by the band of rows that their windows begin in.
 
-    Returns their numbers (m,), the first column and row, and the width and height (m, 2) of their
-    windows, and the largest height.
+    Those that do not illuminate the image are left out.
+
+    Returns where each band's start, and their pixels, photons, widths, correlations, and their
+    windows' first columns and rows, and widths and heights (m, 2). A window reaches from its band
+    into the next one at most.
     """
     lit, corners = np.empty(len(pixel), np.int64), np.empty((len(pixel), 2), np.int64)
-    sizes, count, tallest, edges = np.empty_like(corners), 0, 0, (columns, rows)
+    sizes, count, edge, edges = np.empty_like(corners), 0, _BAND, (columns, rows)
     for i in range(len(pixel)):
         reached = photons[i] > 0.0
         for axis in range(2):
@@ -114,33 +108,21 @@ def _find_lit(pixel: Any, photons: Any, spread: Any, rows: int, columns: int) ->
                 corners[count, axis] = first
                 sizes[count, axis] = math.floor(center + reach + 0.5) - first + 1
         if reached:
-            tallest = max(tallest, sizes[count, 1])
+            edge = max(edge, sizes[count, 1])
             lit[count] = i
             count += 1
-    return lit[:count], corners[:count], sizes[:count], tallest
-
-
-@numba.njit(cache=True)
-def _sort_windows(
-    pixel: Any, photons: Any, spread: Any, lit: Any, corners: Any, sizes: Any, edge: int, bands: int
-) -> Any:
-    """Sort particles by the band of rows that their windows begin in.
-
-    Returns where each band's start, and their pixels, photons, widths, correlations, and their
-    windows' corners and sizes.
-    """
-    band = np.empty(len(lit), np.int64)
+    band, bands = np.empty(count, np.int64), (rows + edge - 1) // edge
     starts, place = np.zeros(bands + 1, np.int64), np.zeros(bands, np.int64)
-    for n in range(len(lit)):
+    for n in range(count):
         band[n] = max(corners[n, 1], 0) // edge
         starts[band[n] + 1] += 1
     for b in range(bands):
         place[b] = starts[b]
         starts[b + 1] += starts[b]
-    where, sigma = np.empty((len(lit), 2)), np.empty((len(lit), 2))
-    light, tilt = np.empty(len(lit)), np.empty(len(lit))
-    corner, size = np.empty_like(corners), np.empty_like(sizes)
-    for n in range(len(lit)):
+    where, sigma = np.empty((count, 2)), np.empty((count, 2))
+    light, tilt = np.empty(count), np.empty(count)
+    corner, size = np.empty((count, 2), np.int64), np.empty((count, 2), np.int64)
+    for n in range(count):
         i, to = lit[n], place[band[n]]
         place[band[n]] += 1
         for axis in range(2):

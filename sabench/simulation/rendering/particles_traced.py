@@ -8,6 +8,7 @@ for a pixel; where it is seen in there, the rays decide. Pixels take a regular g
 pictures have no Monte Carlo noise: for Gaussians the midpoint rule is nearly exact.
 """
 
+import itertools
 import math
 from typing import Any
 
@@ -16,10 +17,9 @@ import numpy as np
 from sabench.geometry.camera import Camera
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.occluders import Disc
-from sabench.geometry.refraction import AnyWall, Wall
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils import backend
-from sabench.utils.arrays import F64, I64, Bool, in_portions
+from sabench.utils.arrays import F64, Bool, in_portions
 from sabench.utils.compiled import numba
 
 _BALL = 4.0  # standard deviations from a particle's centre to its ball's surface
@@ -61,14 +61,15 @@ def render(
     )
     walls = interfaces(mi, origin, camera)
     scene = mi.load_dict({"type": "scene", **walls})
-    low, high = _boxes(camera, images.pixel[bright], images.spread_px2[bright])
+    # pixels that may show particles: first, last columns and rows; a last below the first: none
+    pixel, size = images.pixel[bright], np.array([camera.columns, camera.rows])
+    reach = _ROOM * _REACH * np.sqrt(images.spread_px2[bright][:, :2]) + _ROOM_PX
+    low = np.clip(np.ceil(pixel - reach), 0, size).astype(np.int64)
+    high = np.clip(np.floor(pixel + reach), -1, size - 1).astype(np.int64)
     image = np.zeros(camera.rows * camera.columns)
     areas = np.maximum(high - low + 1, 0).prod(axis=1)
     for some in in_portions(areas, _AT_ONCE):  # memory does not grow with what particles light up
-        starts = np.zeros(image.size + 1, dtype=np.int64)
-        _count_boxes(low, high, some, camera.columns, starts)
-        near = np.empty(starts[-1], dtype=np.int64)
-        _fill_boxes(low, high, some, camera.columns, starts.copy(), near)
+        starts, near = _list_boxes(low, high, some, camera.columns, image.size)
         lit = np.flatnonzero(np.diff(starts))
         given = camera, origin, cloud, len(walls), (lit, starts, near)
         image[lit] += particle_integrator.integrate_particles(
@@ -77,37 +78,27 @@ def render(
     return image.reshape(camera.rows, camera.columns)
 
 
-def _boxes(camera: Camera, pixel: F64, spread_px2: F64) -> tuple[I64, I64]:
-    """Find the pixels that may show particles: first, last columns and rows (n, 2).
-
-    A last one below the first stands for none.
-    """
-    reach = _ROOM * _REACH * np.sqrt(spread_px2[:, :2]) + _ROOM_PX
-    size = np.array([camera.columns, camera.rows])
-    low, high = np.ceil(pixel - reach), np.floor(pixel + reach)
-    return np.clip(low, 0, size).astype(np.int64), np.clip(high, -1, size - 1).astype(np.int64)
-
-
 @numba.njit(cache=True)
-def _count_boxes(low: Any, high: Any, some: Any, columns: int, starts: Any) -> None:
-    """Fill in where each pixel's boxes start."""
+def _list_boxes(low: Any, high: Any, some: Any, columns: int, pixels: int) -> Any:
+    """List the boxes on each pixel.
+
+    Returns where each pixel's numbers start (pixels + 1,), and all numbers.
+    """
+    starts = np.zeros(pixels + 1, np.int64)
     for n in some:
         for row in range(low[n, 1], high[n, 1] + 1):
             for column in range(low[n, 0], high[n, 0] + 1):
                 starts[row * columns + column + 1] += 1
-    for place in range(len(starts) - 1):
+    for place in range(pixels):
         starts[place + 1] += starts[place]
-
-
-@numba.njit(cache=True)
-def _fill_boxes(low: Any, high: Any, some: Any, columns: int, place: Any, near: Any) -> None:
-    """Fill in the numbers of boxes; places are where each pixel's start, and move on."""
+    near, ends = np.empty(starts[-1], np.int64), starts.copy()
     for n in some:
         for row in range(low[n, 1], high[n, 1] + 1):
             for column in range(low[n, 0], high[n, 0] + 1):
                 pixel = row * columns + column
-                near[place[pixel]] = n
-                place[pixel] += 1
+                near[ends[pixel]] = n
+                ends[pixel] += 1
+    return starts, near
 
 
 def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F64, F64, F64]:
@@ -141,50 +132,36 @@ def ellipsoids(mi: Any, data: F64, extent: float) -> dict[str, Any]:
 
 
 def interfaces(mi: Any, origin: F64, camera: Camera) -> dict[str, Any]:
-    """Describe the dielectric interfaces of a camera's wall."""
-    if camera.wall is None:
+    """Describe the dielectric interfaces of a camera's wall.
+
+    They are planes, or coaxial cylinders, whose normals point outwards.
+    """
+    wall = camera.wall
+    if wall is None:
         return {}
     half = 4.0 * float(np.linalg.norm(np.asarray(camera.center_mm) - origin))
-    if isinstance(camera.wall, CylinderWall):
-        return _cylinders(mi, camera.wall, origin, half)
-    return _rectangles(mi, camera.wall, origin, half)
-
-
-def _cylinders(mi: Any, wall: CylinderWall, origin: F64, half: float) -> dict[str, Any]:
-    """Describe one dielectric cylinder per interface; normals point outwards."""
-    axis, foot = np.asarray(wall.axis), np.asarray(wall.axis_point_mm) - origin
-    middle = foot - np.dot(foot, axis) * axis
+    shapes: list[dict[str, Any]] = []
+    if isinstance(wall, CylinderWall):
+        axis, foot = np.asarray(wall.axis), np.asarray(wall.axis_point_mm) - origin
+        middle = foot - np.dot(foot, axis) * axis
+        ends = {"p0": (middle - half * axis).tolist(), "p1": (middle + half * axis).tolist()}
+        shapes += [{"type": "cylinder", **ends, "radius": float(r)} for r in wall.radii_mm]
+    else:
+        normal = np.asarray(wall.normal)
+        up = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))]).tolist()
+        size = mi.ScalarTransform4f().scale([half, half, 1.0])
+        foot = origin - wall.depth_of(origin) * normal  # the outer face next to the particles
+        for depth in wall.interface_depths_mm:
+            position = foot + depth * normal - origin
+            frame = mi.ScalarTransform4f().look_at(
+                origin=position.tolist(), target=(position - normal).tolist(), up=up
+            )
+            shapes.append({"type": "rectangle", "to_world": frame @ size})
+    media = itertools.pairwise(float(index) for index in wall.indices)
     return {
         f"interface_{i}": {
-            "type": "cylinder",
-            "p0": (middle - half * axis).tolist(),
-            "p1": (middle + half * axis).tolist(),
-            "radius": float(radius),
-            "bsdf": _dielectric(wall, i),
+            **shape,
+            "bsdf": {"type": "dielectric", "ext_ior": outside, "int_ior": inside},
         }
-        for i, radius in enumerate(wall.radii_mm)
+        for i, (shape, (outside, inside)) in enumerate(zip(shapes, media, strict=True))
     }
-
-
-def _dielectric(wall: AnyWall, number: int) -> dict[str, Any]:
-    outside, inside = (float(index) for index in wall.indices[number : number + 2])
-    return {"type": "dielectric", "ext_ior": outside, "int_ior": inside}
-
-
-def _rectangles(mi: Any, wall: Wall, origin: F64, half: float) -> dict[str, Any]:
-    normal = np.asarray(wall.normal)
-    foot = origin - wall.depth_of(origin) * normal  # the outer face next to the particles
-    shapes = {}
-    for i, depth in enumerate(wall.interface_depths_mm):
-        position = foot + depth * normal - origin
-        frame = mi.ScalarTransform4f().look_at(
-            origin=position.tolist(),
-            target=(position - normal).tolist(),
-            up=np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))]).tolist(),
-        )
-        shapes[f"interface_{i}"] = {
-            "type": "rectangle",
-            "to_world": frame @ mi.ScalarTransform4f().scale([half, half, 1.0]),
-            "bsdf": _dielectric(wall, i),
-        }
-    return shapes

@@ -1,7 +1,8 @@
 """True visibility of bubbles and bodies, along refracted lines of sight.
 
-Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met by their equation:
-nothing here comes from the renderer, which gives depths and masks of straight rays.
+Lines of sight are the camera's own (`Camera.back_project`), bubbles are met by their equation and
+bodies by Mitsuba's search for triangles. No images come from the renderer, which gives depths and
+masks of straight rays.
 """
 
 from collections.abc import Sequence
@@ -12,8 +13,8 @@ import numpy as np
 from sabench.api.truth import BODY, NOTHING, Bubbles, Sight, Solid
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import length_to_fluid
-from sabench.simulation.rendering.mesh_intersection import BodySearch
-from sabench.utils.arrays import F32, F64, I32, Bool
+from sabench.utils import backend
+from sabench.utils.arrays import F32, F64, I32, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
 
@@ -24,14 +25,27 @@ _AROUND, _STEPS = 48, 8  # points of a contour, and steps of the secant method t
 
 def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight:
     """Compute what each pixel of one camera sees, without the lens's blur."""
-    starts, directions, before = _lines(camera)
+    # starts and unit directions (rows, columns, 3) of lines of sight in the fluid, and the path
+    # lengths (rows, columns) before it
+    row, column = np.indices((camera.rows, camera.columns), dtype=np.float64)
+    pixels = np.column_stack([column.ravel(), row.ravel()])
+    rays, outwards = camera.back_project(pixels), camera.directions(pixels)[0]
+    before = length_to_fluid(camera.wall, np.asarray(camera.center_mm), outwards)
+    starts, directions = (one.reshape(*row.shape, 3) for one in (rays.origins_mm, rays.directions))
     pixel, _ = camera.project(bubbles.center_mm) if len(bubbles) else (np.zeros((0, 2)), None)
     contour = outlines(camera, bubbles, pixel)
     shape = (camera.rows * _FINER, camera.columns * _FINER)
     near, number = np.full(shape, np.inf, dtype=np.float32), np.full(shape, NOTHING, dtype=np.int32)
     if bodies:
         _bodies(starts, directions, bodies, near, number)
-    boxes = _boxes(contour, shape)
+    # first and last rows, then columns, of the finer lines that may meet a bubble
+    boxes = np.zeros((len(contour), 4), dtype=np.int32)
+    known = np.isfinite(contour).all(axis=(1, 2))
+    edges = contour[known].min(axis=1), contour[known].max(axis=1)
+    low, high = ((np.asarray(edge) + 0.5) * _FINER for edge in edges)
+    for side, (axis, limit) in enumerate(((1, shape[0]), (0, shape[1]))):
+        boxes[known, 2 * side] = np.clip(np.floor(low[:, axis]) - 2, 0, limit)
+        boxes[known, 2 * side + 1] = np.clip(np.ceil(high[:, axis]) + 2, 0, limit)
     whole = np.zeros(len(bubbles), dtype=np.int64)
     _cover(starts, directions, bubbles.center_mm, bubbles.to_ball, boxes, near, number, whole)
     seen = np.bincount(number[number >= 0], minlength=len(bubbles))[: len(bubbles)]
@@ -39,16 +53,9 @@ def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight
     first, distance = number[middle, middle].copy(), near[middle, middle].astype(np.float64)
     distance[first == NOTHING] = np.nan
     positions = starts + directions * distance[..., None]
-    depth, path = depth_of(camera, positions), before + distance
-    visible = _shares(seen, whole, contour)
-    return Sight(
-        first,
-        depth.astype(np.float32),
-        path.astype(np.float32),
-        visible,
-        pixel,
-        contour.astype(np.float32),
-    )
+    given = depth_of(camera, positions), before.reshape(row.shape) + distance, contour
+    depth, path, outline = (one.astype(np.float32) for one in given)
+    return Sight(first, depth, path, _shares(seen, whole, contour), pixel, outline)
 
 
 def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
@@ -91,19 +98,6 @@ def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
     return np.asarray(np.linalg.norm(p - along[..., None] * d, axis=-1))
 
 
-def _lines(camera: Camera) -> tuple[F64, F64, F64]:
-    """Compute starts and unit directions of lines of sight in the fluid.
-
-    They are (rows, columns, 3). Also returns the path lengths (rows, columns) before the fluid.
-    """
-    shape = camera.rows, camera.columns
-    row, column = np.indices(shape, dtype=np.float64)
-    pixels = np.column_stack([column.ravel(), row.ravel()])
-    rays, outwards = camera.back_project(pixels), camera.directions(pixels)[0]
-    before = length_to_fluid(camera.wall, np.asarray(camera.center_mm), outwards).reshape(shape)
-    return rays.origins_mm.reshape(*shape, 3), rays.directions.reshape(*shape, 3), before
-
-
 def depth_of(camera: Camera, places_mm: F64) -> F64:
     """Compute depths (...) of positions (..., 3).
 
@@ -113,23 +107,6 @@ def depth_of(camera: Camera, places_mm: F64) -> F64:
     if camera.wall:
         return camera.wall.depth_of(places_mm)
     return np.asarray((places_mm - np.asarray(camera.center_mm)) @ np.asarray(camera.rotation)[2])
-
-
-def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
-    """Compute bounding boxes of the finer lines of sight that may meet a bubble.
-
-    (n, 4). First and last rows, then columns; empty outside the image.
-    """
-    boxes = np.zeros((len(contour), 4), dtype=np.int32)
-    known = np.isfinite(contour).all(axis=(1, 2))
-    low, high = (
-        (np.asarray(edge) + 0.5) * _FINER
-        for edge in (contour[known].min(axis=1), contour[known].max(axis=1))
-    )
-    for side, (axis, limit) in enumerate(((1, shape[0]), (0, shape[1]))):
-        boxes[known, 2 * side] = np.clip(np.floor(low[:, axis]) - 2, 0, limit)
-        boxes[known, 2 * side + 1] = np.clip(np.ceil(high[:, axis]) + 2, 0, limit)
-    return boxes
 
 
 def _shares(seen: Any, whole: Any, contour: F64) -> F64:
@@ -162,22 +139,16 @@ def _bodies(starts: F64, directions: F64, bodies: Sequence[Solid], near: F32, nu
     for down in range(_FINER):
         for across in range(_FINER):
             part = slice(down, None, _FINER), slice(across, None, _FINER)
+            # between the pixels by differences, as lines bend by far less than a pixel's own angle
             start, direction = (
-                _interpolate(lines, (down - _FINER // 2) / _FINER, (across - _FINER // 2) / _FINER)
+                lines
+                + (down - _FINER // 2) / _FINER * np.gradient(lines, axis=0)
+                + (across - _FINER // 2) / _FINER * np.gradient(lines, axis=1)
                 for lines in (starts, directions)
             )
             distance, which = search.first(start.reshape(-1, 3), direction.reshape(-1, 3))
             near[part] = distance.reshape(starts.shape[:2])
             number[part] = np.where(which < 0, NOTHING, BODY - which).reshape(starts.shape[:2])
-
-
-def _interpolate(lines: F64, down: float, across: float) -> F64:
-    """Interpolate lines of sight between those of the pixels, by differences.
-
-    They bend by far less than a pixel's own angle.
-    """
-    by_row, by_column = np.gradient(lines, axis=(0, 1))
-    return np.asarray(lines + down * by_row + across * by_column)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -264,3 +235,74 @@ def _meet(
             if b * b >= a * (c - 1.0):
                 out[i] = True
                 break
+
+
+_ODD = np.array([0.8017837, 0.2672612, 0.5345225])  # a direction in which few bodies have edges
+
+
+def mesh_of(mi: Any, solid: Solid, origin: F64, **how: Any) -> Any:
+    """Convert a body to a mesh of Mitsuba's.
+
+    `how` are further arguments of `mi.Mesh`.
+    """
+    mesh = mi.Mesh("body", len(solid.vertices_mm), len(solid.faces), **how)
+    values = mi.traverse(mesh)
+    values["vertex_positions"] = (solid.vertices_mm - origin).astype(np.float32).ravel()
+    values["faces"] = solid.faces.astype(np.uint32).ravel()
+    values.update()
+    return mesh
+
+
+class BodySearch:
+    """Search for the first body along many lines."""
+
+    def __init__(self, bodies: Sequence[Solid]) -> None:
+        self._mi = mi = backend.mitsuba()
+        # single precision: small numbers near the bodies
+        middles = [solid.vertices_mm.mean(axis=0) for solid in bodies]
+        self._origin = origin = np.asarray(np.mean(middles, axis=0))
+        self._radius = max(
+            float(np.linalg.norm(solid.vertices_mm - origin, axis=1).max()) for solid in bodies
+        )
+        meshes = {f"body_{n}": mesh_of(mi, solid, origin) for n, solid in enumerate(bodies)}
+        self._scene = mi.load_dict({"type": "scene", **meshes})
+
+    def first(self, starts_mm: F64, directions: F64) -> tuple[F64, I64]:
+        """Find the first body along lines.
+
+        Returns the distance (n,), inf for none, and the body's number (n,), -1 for none.
+        """
+        mi = self._mi
+        known = np.asarray(np.isfinite(directions).all(axis=1))
+        start = np.where(known[:, None], starts_mm - self._origin, 0.0)
+        direction = np.where(known[:, None], directions, [0.0, 0.0, 1.0])
+        ahead = np.maximum(-np.sum(start * direction, axis=1) - 1.01 * self._radius, 0.0)
+        near = start + ahead[:, None] * direction
+        ray = mi.Ray3f(
+            mi.Point3f(near.T.astype(np.float32)), mi.Vector3f(direction.T.astype(np.float32))
+        )
+        met = self._scene.ray_intersect_preliminary(ray, True)
+        valid = np.array(met.is_valid()) & known
+        which = np.full(len(known), -1, dtype=np.int64)
+        for number, shape in enumerate(self._scene.shapes()):
+            which[np.array(met.shape == mi.ShapePtr(shape)) & valid] = number
+        return np.where(valid, np.array(met.t, dtype=np.float64) + ahead, np.inf), which
+
+    def contains(self, points_mm: F64) -> Bool:
+        """Find which points (n, 3) lie in a body.
+
+        A line from such a point to the outside leaves bodies more often than it enters them.
+        """
+        mi = self._mi
+        position = mi.Point3f((points_mm - self._origin).T.astype(np.float32))
+        direction = mi.Vector3f(*(float(v) for v in _ODD))
+        balance = np.zeros(len(points_mm), dtype=np.int64)
+        active = np.ones(len(points_mm), dtype=np.bool_)
+        while active.any():
+            met = self._scene.ray_intersect(mi.Ray3f(position, direction), mi.Bool(active))
+            active &= np.array(met.is_valid())
+            along = met.n.x * direction.x + met.n.y * direction.y + met.n.z * direction.z
+            outwards = np.array(along) > 0.0
+            balance += np.where(active, np.where(outwards, 1, -1), 0)
+            position = mi.Point3f(met.spawn_ray(direction).o)
+        return np.asarray(balance > 0)

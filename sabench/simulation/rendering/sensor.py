@@ -97,25 +97,21 @@ def fill_poisson(key: Any, row: Any, blocks: Any, means: Any, numbers: Any) -> N
 
     Means are at most 1e15. Works as `fill_normals` does.
     """
-    for column in range(len(means)):
-        numbers[column] = _try_poisson(blocks, column, means[column])
+    for column in range(len(means)):  # 0 or a nearly normal number
+        mean = means[column]
+        w0, w1 = np.uint64(blocks[0, column]), np.uint64(blocks[1, column])
+        x, below = _try_normal(w0, w1)
+        k = np.floor(mean + math.sqrt(mean) * x)
+        v = _uniform(np.uint64(blocks[2, column]), np.uint64(blocks[3, column]))
+        short = mean - k
+        quick = below and short * short * short <= 6.0 * mean * mean * v
+        large = k if quick else np.nan
+        small = 0.0 if mean * _PER_UNIT < 1.0 and _uniform(w0, w1) < 1.0 - mean else np.nan
+        numbers[column] = large if mean >= _LARGE else small
     for column in range(len(means)):
         if np.isnan(numbers[column]):
             words = _words(blocks, column)
             numbers[column] = _poisson(key, np.uint64(column), row, words, means[column])
-
-
-@numba.njit(cache=True, inline="always")
-def _try_poisson(blocks: Any, column: int, mean: float) -> Any:
-    """Draw 0 or a nearly normal number; NaN where that takes a closer look."""
-    w0, w1 = np.uint64(blocks[0, column]), np.uint64(blocks[1, column])
-    x, below = _try_normal(w0, w1)
-    k = np.floor(mean + math.sqrt(mean) * x)
-    v = _uniform(np.uint64(blocks[2, column]), np.uint64(blocks[3, column]))
-    quick = below and _is_near(k, mean, v)
-    large = k if quick else np.nan
-    small = 0.0 if mean * _PER_UNIT < 1.0 and _uniform(w0, w1) < 1.0 - mean else np.nan
-    return large if mean >= _LARGE else small
 
 
 @numba.njit(cache=True)
@@ -141,21 +137,15 @@ def _try_normal(high: Any, low: Any) -> Any:
 
 @numba.njit(cache=True)
 def _normal(key: Any, column: Any, row: Any, purpose: Any, words: Any) -> Any:
-    """Draw a standard normal number; it takes the first two words."""
-    x, below = _try_normal(words[0], words[1])
-    if below:
-        return x
-    layer = np.intp(words[1] & _LAYER)
-    return math.copysign(_normal_at_edge(key, column, row, purpose, layer, abs(x)), x)
+    """Draw a standard normal number; it takes the first two words.
 
-
-@numba.njit(cache=True)
-def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x: float) -> Any:
-    """Draw on where a layer is not wholly below the density.
-
-    Source of the tail: G. Marsaglia, Technometrics 6, 101-102 (1964).
+    Other blocks decide where a layer is not wholly below the density. Source of the tail:
+    G. Marsaglia, Technometrics 6, 101-102 (1964).
     """
-    attempt = np.uint64(0)
+    first, below = _try_normal(words[0], words[1])
+    if below:
+        return first
+    layer, x, attempt = np.intp(words[1] & _LAYER), abs(first), np.uint64(0)
     while True:
         attempt += _ONE
         words = block(key, column, row, attempt, purpose)
@@ -163,32 +153,27 @@ def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x
         if layer == 0:
             beyond = -math.log1p(-_uniform(words[0], words[1])) / _EDGE
             if -2.0 * math.log1p(-u) > beyond * beyond:
-                return _EDGE + beyond
+                return math.copysign(_EDGE + beyond, first)
             continue
         low, high = _HEIGHTS[layer], _HEIGHTS[layer + 1]
         if low + u * (high - low) < math.exp(-0.5 * x * x):
-            return x
+            return math.copysign(x, first)
         layer = np.intp(words[1] & _LAYER)
         x = _uniform(words[0], words[1]) * _EDGES[layer]
         if x < _EDGES[layer + 1]:
-            return x
+            return math.copysign(x, first)
 
 
 @numba.njit(cache=True)
 def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
     """Draw a Poisson number."""
-    if mean * _PER_UNIT < 1.0:
-        return _invert(_uniform(words[0], words[1]), mean)
-    if mean < _LARGE:
-        return _look_up(words, mean)
-    return _near_normal(key, column, row, words, mean)
-
-
-@numba.njit(cache=True)
-def _look_up(words: Any, mean: float) -> Any:
-    """Draw from a tabulated distribution, and add a number of the rest of the mean."""
-    cell = np.uintp(np.intp(mean * _PER_UNIT))
+    if mean >= _LARGE:
+        return _near_normal(key, column, row, words, mean)
     u = _uniform(words[0], words[1])
+    if mean * _PER_UNIT < 1.0:
+        return _invert(u, mean)
+    # from a tabulated distribution, and a number of the rest of the mean
+    cell = np.uintp(np.intp(mean * _PER_UNIT))
     k = np.uintp(_STARTS[cell, np.uintp(np.intp(u * _CELLS))])
     while u >= _DISTRIBUTIONS[cell, k]:
         k += _ONE
@@ -219,21 +204,11 @@ def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> An
     root = math.sqrt(mean)
     k = np.floor(mean + root * _normal(key, column, row, SHOT, words))
     u = _uniform(words[2], words[3])
-    if _is_near(k, mean, u) or k >= np.floor(mean - 1.1484):
+    short = mean - k
+    if short * short * short <= 6.0 * mean * mean * u or k >= np.floor(mean - 1.1484):
         return k
     if k >= 0.0 and (1.0 - u) * _normal_share(k, mean, root) <= _chance(k, mean):
         return k
-    return _from_rest(key, column, row, mean, root)
-
-
-@numba.njit(cache=True, inline="always")
-def _is_near(k: float, mean: float, u: float) -> Any:
-    short = mean - k
-    return short * short * short <= 6.0 * mean * mean * u
-
-
-@numba.njit(cache=True)
-def _from_rest(key: Any, column: Any, row: Any, mean: float, root: float) -> Any:
     attempt = np.uint64(0)
     while True:
         words = block(key, column, row, attempt, _REST)
@@ -264,38 +239,25 @@ def _chance(k: float, mean: float) -> Any:
     """
     if k == 0.0:
         return math.exp(-mean)
-    return math.exp(-_stirling_error(k) - _deviance(k, mean)) / math.sqrt(2.0 * math.pi * k)
-
-
-@numba.njit(cache=True)
-def _stirling_error(k: float) -> Any:
     if k < _SERIES:
-        return _ERRORS[np.intp(k)]
-    square = 1.0 / (k * k)
-    return (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0))) / k
-
-
-@numba.njit(cache=True)
-def _deviance(k: float, mean: float) -> Any:
-    """Compute k log(k / mean) + mean - k."""
-    ratio = (k - mean) / (k + mean)
+        error = _ERRORS[np.intp(k)]
+    else:  # Stirling's
+        square = 1.0 / (k * k)
+        series = 1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)
+        error = (1.0 / 12.0 - square * series) / k
+    ratio = (k - mean) / (k + mean)  # of the deviance k log(k / mean) + mean - k
     if abs(ratio) > 0.1:
-        return k * math.log(k / mean) + mean - k
-    total, term, n = (k - mean) * ratio, 2.0 * k * ratio, 1.0
-    while True:
-        term, n = term * ratio * ratio, n + 2.0
-        before, total = total, total + term / n
-        if total == before:
-            return total
+        deviance = k * math.log(k / mean) + mean - k
+    else:
+        deviance, term, n, before = (k - mean) * ratio, 2.0 * k * ratio, 1.0, np.inf
+        while deviance != before:
+            term, n = term * ratio * ratio, n + 2.0
+            before, deviance = deviance, deviance + term / n
+    return math.exp(-error - deviance) / math.sqrt(2.0 * math.pi * k)
 
 
 _HOT = 0.5  # of the full well: mean signal of hot pixels
 _MOST_E = 1e15  # electrons: more than any well holds, and few enough to be counted exactly
-
-
-def full_well_photons(sensor: Sensor) -> float:
-    """Compute the mean number of photons that fill a pixel's well."""
-    return sensor.full_well_e / sensor.quantum_efficiency
 
 
 @dataclass(frozen=True)
@@ -331,6 +293,20 @@ def make_pattern(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generato
     return FixedPattern(response, np.where(hot, mean * size, 0.0), offset)
 
 
+class _Chain(NamedTuple):
+    """Parameters of a sensor for the kernel, in the order of the signal path."""
+
+    quantum_efficiency: float
+    dark_e: float
+    shot_noise: bool
+    full_well_e: float
+    nonlinearity: float
+    read_noise_e: float
+    gain_dn_e: float
+    black_level_dn: float
+    most_dn: float
+
+
 def expose(
     sensor: Sensor, photons: F64, rng: np.random.Generator, pattern: FixedPattern | None = None
 ) -> U16:
@@ -346,31 +322,7 @@ def expose(
     number of threads.
     """
     pixels = None if pattern is None else (pattern.response, pattern.hot_e, pattern.offset_e)
-    light, grey = np.ascontiguousarray(photons), np.empty(photons.shape, dtype=np.uint16)
-    if any(on_cores(_expose, len(light), light, pixels, draw_key(rng), _chain(sensor), grey)):
-        raise InputError(
-            "illumination: photon counts must be finite and not negative; check the pulse energy "
-            "and the lights"
-        )
-    return grey
-
-
-class _Chain(NamedTuple):
-    """Parameters of a sensor for the kernel, in the order of the signal path."""
-
-    quantum_efficiency: float
-    dark_e: float
-    shot_noise: bool
-    full_well_e: float
-    nonlinearity: float
-    read_noise_e: float
-    gain_dn_e: float
-    black_level_dn: float
-    most_dn: float
-
-
-def _chain(sensor: Sensor) -> _Chain:
-    return _Chain(
+    chain = _Chain(
         sensor.quantum_efficiency,
         sensor.dark_current_e_s * sensor.exposure_s,
         sensor.shot_noise,
@@ -381,6 +333,13 @@ def _chain(sensor: Sensor) -> _Chain:
         sensor.black_level_dn,
         float((1 << sensor.bit_depth) - 1),
     )
+    light, grey = np.ascontiguousarray(photons), np.empty(photons.shape, dtype=np.uint16)
+    if any(on_cores(_expose, len(light), light, pixels, draw_key(rng), chain, grey)):
+        raise InputError(
+            "illumination: photon counts must be finite and not negative; check the pulse energy "
+            "and the lights"
+        )
+    return grey
 
 
 @numba.njit(cache=True, nogil=True)
@@ -391,7 +350,15 @@ def _expose(jobs: slice, photons: Any, pixels: Any, key: Any, chain: Any, grey: 
     blocks = np.empty((4, columns), np.uint32)
     for row in range(jobs.start, jobs.stop):
         counter = np.uint64(row)
-        wrong += _fill_means(photons, pixels, chain, row, means)
+        for column in range(columns):
+            mean = chain.quantum_efficiency * photons[row, column]
+            if pixels is None:
+                mean += chain.dark_e
+            else:
+                mean = pixels[0][row, column] * mean + pixels[1][row, column]
+                mean += chain.dark_e * (pixels[0][row, column] > 0.0)
+            wrong += not 0.0 <= mean < np.inf
+            means[column] = min(mean, _MOST_E)
         if chain.shot_noise and wrong == 0:
             fill_blocks(key, start, counter, start, SHOT, blocks)
             fill_poisson(key, counter, blocks, means, signal)
@@ -401,33 +368,13 @@ def _expose(jobs: slice, photons: Any, pixels: Any, key: Any, chain: Any, grey: 
         if chain.read_noise_e > 0.0:
             fill_blocks(key, start, counter, start, READ, blocks)
             fill_normals(key, counter, blocks, noise)
-        _fill_grey(signal, noise, pixels, chain, row, grey)
+        for column in range(columns):
+            value = min(signal[column], chain.full_well_e)
+            if chain.nonlinearity > 0.0:
+                value *= 1.0 - chain.nonlinearity * (value / chain.full_well_e) ** 2
+            if pixels is not None:
+                value += pixels[2][row, column]
+            value += chain.read_noise_e * noise[column]
+            value = np.rint(value * chain.gain_dn_e + chain.black_level_dn)
+            grey[row, column] = np.uint16(min(max(value, 0.0), chain.most_dn))
     return wrong
-
-
-@numba.njit(cache=True)
-def _fill_means(photons: Any, pixels: Any, chain: Any, row: Any, means: Any) -> Any:
-    wrong = 0
-    for column in range(len(means)):
-        mean = chain.quantum_efficiency * photons[row, column]
-        if pixels is None:
-            mean += chain.dark_e
-        else:
-            mean = pixels[0][row, column] * mean + pixels[1][row, column]
-            mean += chain.dark_e * (pixels[0][row, column] > 0.0)
-        wrong += not 0.0 <= mean < np.inf
-        means[column] = min(mean, _MOST_E)
-    return wrong
-
-
-@numba.njit(cache=True)
-def _fill_grey(signal: Any, noise: Any, pixels: Any, chain: Any, row: Any, grey: Any) -> None:
-    for column in range(len(signal)):
-        value = min(signal[column], chain.full_well_e)
-        if chain.nonlinearity > 0.0:
-            value *= 1.0 - chain.nonlinearity * (value / chain.full_well_e) ** 2
-        if pixels is not None:
-            value += pixels[2][row, column]
-        value += chain.read_noise_e * noise[column]
-        value = np.rint(value * chain.gain_dn_e + chain.black_level_dn)
-        grey[row, column] = np.uint16(min(max(value, 0.0), chain.most_dn))

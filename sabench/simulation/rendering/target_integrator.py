@@ -53,17 +53,31 @@ def integrate_target(
 ) -> F32:
     """Render relative radiance (rows, columns) in front of the lens.
 
-    The rays of a pixel start all over the aperture.
+    The rays of a pixel start all over the aperture. A pixel is sampled on a lattice without two
+    points in a column or a row. The lattice is shifted from pixel to pixel, and the aperture's
+    points are rotated. With one pattern for all, an edge that runs along the pixels would move by
+    whole steps of it, and corners with it.
 
     Parameters
     ----------
     origin : world point that is the scene's (0, 0, 0): the target's own origin.
     interfaces : dielectric planes that a ray crosses before it may meet the target.
     """
-    target = _Target(paint, lamps, interfaces)
+    target, disc = _Target(paint, lamps, interfaces), camera.aperture_radius_mm * _spiral(samples)
 
-    def trace(ray: Any, pixel: Any) -> Any:
-        return _trace(scene, _rays(camera, origin, pixel, ray, samples), target)
+    def trace(sub: Any, pixel: Any) -> Any:
+        row, column = pixel // camera.columns, pixel % camera.columns
+        shift_across, shift_down, rotation = (
+            _fraction(c0 * mi.Float(column) + c1 * mi.Float(row)) for c0, c1 in _STEPS
+        )
+        lattice = (sub * _stride(samples, 0.618)) % samples
+        in_column = _fraction((mi.Float(sub) + 0.5) / samples + shift_across)
+        in_row = _fraction((mi.Float(lattice) + 0.5) / samples + shift_down)
+        across, down = mi.Float(column) + in_column - 0.5, mi.Float(row) + in_row - 0.5
+        sine, cosine = dr.sincos(2.0 * np.pi * rotation)
+        a, b = (dr.gather(mi.Float, mi.Float(part.astype(np.float32)), sub) for part in disc.T)
+        lens = cosine * a - sine * b, sine * a + cosine * b
+        return _trace(scene, lens_rays(camera, origin, across, down, lens), target)
 
     size = camera.rows, camera.columns
     return mean_of_rays((np.arange(size[0] * size[1]),), samples, trace).reshape(size)
@@ -83,29 +97,6 @@ class _Target:
             for position, power in zip(lamps.positions, lamps.powers.tolist(), strict=True)
         ]
         self.ambient = dr.opaque(mi.Float, lamps.ambient)
-
-
-def _rays(camera: Camera, origin: F64, pixel: Any, sub: Any, samples: int) -> Any:
-    """Make rays of numbers in pixels, from all over the aperture.
-
-    A pixel is sampled on a lattice without two points in a column or a row. The lattice is shifted
-    from pixel to pixel, and the aperture's points are rotated. With one pattern for all, an edge
-    that runs along the pixels would move by whole steps of it, and corners with it.
-    """
-    row, column = pixel // camera.columns, pixel % camera.columns
-    shift_across, shift_down, rotation = (
-        _fraction(c0 * mi.Float(column) + c1 * mi.Float(row)) for c0, c1 in _STEPS
-    )
-    lattice = (sub * _stride(samples, 0.618)) % samples
-    in_column = _fraction((mi.Float(sub) + 0.5) / samples + shift_across)
-    in_row = _fraction((mi.Float(lattice) + 0.5) / samples + shift_down)
-    across = mi.Float(column) + in_column - 0.5
-    down = mi.Float(row) + in_row - 0.5
-    disc = camera.aperture_radius_mm * _spiral(samples)
-    sine, cosine = dr.sincos(2.0 * np.pi * rotation)
-    a, b = (dr.gather(mi.Float, mi.Float(part.astype(np.float32)), sub) for part in disc.T)
-    lens = cosine * a - sine * b, sine * a + cosine * b
-    return lens_rays(camera, origin, across, down, lens)
 
 
 def _spiral(count: int) -> F64:

@@ -49,17 +49,12 @@ def render(
     radiance = target_integrator.integrate_target(
         scene, camera, origin, paint, lamps, planes, samples
     ).astype(np.float64)
-    radiance /= _through_wall(camera)
+    if camera.wall is not None:  # the exposure asked for is that seen through the wall
+        facing, pinhole = facing_of(camera), np.asarray(camera.center_mm)
+        passed = float(transmittance(camera.wall, pinhole, facing[None])[0])
+        radiance /= passed * (camera.wall.air_index / camera.wall.fluid_index) ** 2
     photons = radiance * camera.etendue() / camera.etendue().max()
     return diffract(camera, photons, lighting.wavelength_nm)
-
-
-def _through_wall(camera: Camera) -> float:
-    if camera.wall is None:
-        return 1.0
-    facing, pinhole = facing_of(camera), np.asarray(camera.center_mm)
-    passed = float(transmittance(camera.wall, pinhole, facing[None])[0])
-    return passed * (camera.wall.air_index / camera.wall.fluid_index) ** 2
 
 
 def marker_bits(target: Target) -> Bool:

@@ -1,9 +1,4 @@
-"""Distributions of bubbles' sizes, shapes and directions; lattice of diameters.
-
-The light that a sphere scatters in one direction changes with the last hundredth of a percent of
-its diameter. Particles' diameters are rounded to the lattice, far finer than can be measured, so
-that particles share scattering computed exactly.
-"""
+"""Distributions of bubbles' sizes, shapes and directions."""
 
 from __future__ import annotations
 
@@ -12,7 +7,7 @@ from pydantic import BaseModel, Field, model_validator
 
 from sabench.api.truth import Bubbles
 from sabench.geometry.rigid_motion import Domain
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, Bool
 
 _UP = np.array([0.0, -1.0, 0.0])  # Y points down, as in the images
 
@@ -105,17 +100,3 @@ def within(domain: Domain, bubbles: Bubbles) -> Bool:
     inside = bubbles.center_mm - extent >= low - 1e-9
     inside &= bubbles.center_mm + extent <= high + 1e-9
     return np.asarray(inside.all(axis=1))
-
-
-PER_OCTAVE = 2048  # 7 nm at 20 um
-_UNIT_MM = 1e-3
-
-
-def size_numbers(diameters_mm: F64) -> I64:
-    """Compute the numbers of the lattice's nearest diameters; that of 1 um is 0."""
-    return np.asarray(np.rint(PER_OCTAVE * np.log2(diameters_mm / _UNIT_MM)), dtype=np.int64)
-
-
-def lattice_diameters_mm(numbers: I64) -> F64:
-    """Compute the diameters of numbers."""
-    return np.asarray(_UNIT_MM * np.exp2(numbers / PER_OCTAVE))

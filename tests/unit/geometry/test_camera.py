@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
-from sabench.scenes import cameras
+from sabench.scenes.cameras import CrossLayout, RingLayout, offsets_of
 from sabench.scenes.focusing import apparent_distance_mm
 from sabench.utils.arrays import F64, triple
 from tests.helpers.cameras import make_camera
@@ -194,7 +194,8 @@ def test_focus_is_the_thin_lens_conjugate() -> None:
 
 @pytest.mark.parametrize("count", [1, 3, 8])
 def test_ring_keeps_radius_and_chord(count: int) -> None:
-    offsets = cameras.ring(count, 12.0, start_rad=0.3)
+    layout = RingLayout(kind="ring", count=count, radius_mm=12.0, start_deg=math.degrees(0.3))
+    offsets = offsets_of(layout)
     assert offsets.shape == (count, 2)
     assert_allclose(np.hypot(*offsets.T), 12.0)
     assert_allclose(offsets[0], [12.0 * math.cos(0.3), 12.0 * math.sin(0.3)])
@@ -205,7 +206,7 @@ def test_ring_keeps_radius_and_chord(count: int) -> None:
 
 
 def test_cross_has_a_centre_and_four_equal_arms() -> None:
-    offsets = cameras.make_cross(2, 3.0)
+    offsets = offsets_of(CrossLayout(kind="cross", arm=2, spacing_mm=3.0))
     arms = [(3.0 * k, 0.0) for k in range(-2, 3)] + [(0.0, 3.0 * k) for k in range(-2, 3)]
     assert len(offsets) == 9
     assert {(float(x), float(y)) for x, y in offsets} == {*arms}

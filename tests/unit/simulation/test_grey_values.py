@@ -14,7 +14,6 @@ from sabench.scenes.loading import find
 from sabench.simulation.camera_view import flicker, static_light
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.pipeline import generate
-from sabench.simulation.rendering.sensor import full_well_photons
 from sabench.utils.arrays import F64
 from sabench.utils.rng import stream
 from tests.helpers.refusals import refused
@@ -49,7 +48,7 @@ def test_static_light_is_the_same_in_every_frame_and_another_in_every_camera() -
     assert added[0].min() >= -1.0
     assert np.corrcoef(added[0][0].ravel(), added[0][1].ravel())[0, 1] < 0.5
     light = static_light(Background.model_validate(table), (50, 70), stream(3, "background", 2))
-    grey = 0.22 * 0.6 * full_well_photons(scene.sensor) * light
+    grey = 0.22 * 0.6 * scene.sensor.full_well_photons * light
     np.testing.assert_allclose(added[0][2][unsaturated[2]], grey[unsaturated[2]], atol=2.0)
 
 

@@ -14,8 +14,14 @@ from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import make_particles, simulate
 from sabench.simulation.pipeline import generate
 from sabench.worlds.advection import advect
-from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
-from sabench.worlds.tracers import Motion, material_numbers, pulse, require_flow
+from sabench.worlds.tracers import (
+    Motion,
+    lattice_diameters_mm,
+    material_numbers,
+    pulse,
+    require_flow,
+    size_numbers,
+)
 from tests.helpers.refusals import refused
 
 ABC = {"generator": "abc_flow", "wavelength_mm": 12.0}

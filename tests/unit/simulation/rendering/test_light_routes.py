@@ -14,8 +14,14 @@ from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.simulation import camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering import particle_images
-from sabench.simulation.rendering.light_routes import Route, reflections
-from sabench.simulation.rendering.particle_images import SMOOTH, Box, find_paths, image_particles
+from sabench.simulation.rendering.particle_images import (
+    SMOOTH,
+    Box,
+    Route,
+    find_paths,
+    image_particles,
+    reflections,
+)
 from sabench.utils.arrays import F64, triple
 from tests.helpers.particle_scenes import cloud, make_scene
 

@@ -21,7 +21,7 @@ from sabench.simulation.rendering.particle_images import diffract, diffraction_p
 from sabench.simulation.rendering.particle_light import _angle_range, scatterers_of
 from sabench.simulation.rendering.particles_splatted import render_with_rings
 from sabench.utils.arrays import F64
-from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
+from sabench.worlds.tracers import lattice_diameters_mm, size_numbers
 from tests.helpers.particle_scenes import (
     SMALL,
     TILT,

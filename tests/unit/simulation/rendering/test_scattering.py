@@ -11,7 +11,7 @@ from sabench.simulation.rendering.particle_light import (
     scaled_coefficients,
 )
 from sabench.utils.arrays import F64
-from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
+from sabench.worlds.tracers import lattice_diameters_mm, size_numbers
 
 WAVENUMBER = 2.0 * np.pi * 1.333 / 532e-6
 SIDEWAYS = (np.deg2rad(58.0), np.deg2rad(122.0))

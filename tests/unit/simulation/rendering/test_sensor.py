@@ -12,7 +12,6 @@ from sabench.scenes.sensor import Sensor
 from sabench.simulation.rendering.sensor import (
     FixedPattern,
     expose,
-    full_well_photons,
     make_pattern,
 )
 from sabench.utils.arrays import F64, I64, U16
@@ -196,7 +195,7 @@ def test_a_full_well_and_the_converter_limit_the_grey_value() -> None:
 def test_that_many_photons_fill_the_well() -> None:
     """A quarter of the photons become electrons, so that it takes four for each."""
     sensor = Sensor(full_well_e=1000.0, quantum_efficiency=0.25, bit_depth=16, gain_dn_e=1.0)
-    assert full_well_photons(sensor) == 4000.0
+    assert sensor.full_well_photons == 4000.0
     half = expose(sensor, np.full((300, 500), 2000.0), np.random.default_rng(0))
     assert half.mean() - sensor.black_level_dn == pytest.approx(500.0, rel=1e-3)
 
