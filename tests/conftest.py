@@ -30,7 +30,7 @@ from sabench.evaluation.timed_solving import reference_s
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils import backend
-from tests.helpers import refusals
+from tests.helpers import commands, refusals
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]
@@ -204,17 +204,8 @@ def own_process(tmp_path: Path) -> Command:
     """
 
     def run(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
-        words = [sys.executable, "-m", "sabench", *(str(argument) for argument in arguments)]
-        environment = os.environ | {"PYTHONPATH": str(ROOT)} | options.pop("env", {})
-        settings: dict[str, Any] = {
-            "cwd": tmp_path,
-            "capture_output": True,
-            "text": True,
-            "timeout": 300,
-            "check": False,
-        } | options
-        done: subprocess.CompletedProcess[str] = subprocess.run(words, env=environment, **settings)
-        return done
+        settings = {"cwd": tmp_path, "timeout": 300} | options
+        return commands.run_python("-m", "sabench", *arguments, **settings)
 
     return run
 

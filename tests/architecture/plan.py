@@ -21,9 +21,7 @@ FLOORS = (
 
 
 def rooms(package: Path) -> set[str]:
-    found = {
-        file.relative_to(package).parts[0].removesuffix(".py") for file in package.rglob("*.py")
-    }
+    found = {one.relative_to(package).parts[0].removesuffix(".py") for one in package.rglob("*.py")}
     return found - {"__init__", "__main__", "_plugins"}
 
 

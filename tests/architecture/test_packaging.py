@@ -26,8 +26,7 @@ def test_what_is_included_is_there() -> None:
 def test_the_wheel_has_the_records_and_no_others() -> None:
     if not (ROOT / ".git").exists():
         pytest.skip("git does not know this checkout")
-    words = ["git", "ls-files", "leaderboard/records"]
-    known = subprocess.check_output(words, cwd=ROOT, text=True)
+    known = subprocess.check_output(["git", "ls-files", "leaderboard/records"], cwd=ROOT, text=True)
     records = {name for name in INCLUDED if name.startswith("leaderboard/records")}
     tops = {"/".join(name.split("/")[:3]) for name in known.split()}
     assert records == tops  # all pictures are those of bundled records, as other tests tell

@@ -9,16 +9,16 @@ from tests.architecture.weight import figures, tables, walk, weigh
 
 # Reached on 2026-11-29, plus 3 %.
 LIMITS: dict[str, float] = {
-    "sabench without apps: lines": 64804,
-    "sabench without apps: code lines": 43080,
-    "sabench without apps: modules": 320,
+    "sabench without apps: lines": 64454,
+    "sabench without apps: code lines": 42940,
+    "sabench without apps: modules": 318,
     "reproduction: lines": 8057,
-    "tests: lines": 38604,
+    "tests: lines": 37739,
     "apps: lines": 5317,
     "modules with one importer": 58,
     "import lines, percent": 6.3,
     "walk of simulate: files": 38,
-    "walk of simulate: names": 204,
+    "walk of simulate: names": 205,
     "walk of score of particles: files": 7,
     "walk of score of particles: names": 40,
 }

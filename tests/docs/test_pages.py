@@ -197,10 +197,7 @@ def _leads(page: str, target: str) -> bool:
 
 def test_every_page_that_code_names_exists() -> None:
     folders = ("sabench", "solvers", "generators", "scenes", "examples", "benchmarks", "tests")
-    files = [
-        ROOT / "pyproject.toml",
-        *(file for one in folders for file in (ROOT / one).rglob("*")),
-    ]
+    files = [ROOT / "pyproject.toml", *(f for one in folders for f in (ROOT / one).rglob("*"))]
     named = {
         (file.relative_to(ROOT).as_posix(), page)
         for file in files

@@ -1,5 +1,4 @@
-"""A headless Chromium, driven by WebDriver. It has as much of WebDriver as tests and benchmarks of
-the page need."""
+"""Headless Chromium, driven by as much of WebDriver as tests and benchmarks need."""
 
 import contextlib
 import gzip
@@ -135,7 +134,6 @@ def _driver(program: str) -> Iterator[int]:
 
 @contextlib.contextmanager
 def chromium() -> Iterator[Browser | None]:
-    """A browser, or None where there is none on the PATH."""
     binary, program = shutil.which("chromium"), shutil.which("chromedriver")
     if binary is None or program is None:
         yield None

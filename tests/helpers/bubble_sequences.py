@@ -1,5 +1,4 @@
-"""Image sequences of moving bubbles whose ids are known. For the tests of linking and its
-benchmark."""
+"""Image sequences of moving bubbles with known ids, to test and measure linking."""
 
 from dataclasses import dataclass, field
 

@@ -31,8 +31,7 @@ def calibration_scene(**changes: Any) -> Scene:
 
 
 def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera, ...], F64, F64]:
-    """Return a scene's calibration case and its truth. The truth: the cameras, the points (frame,
-    point, 3) in mm, and their exact image points (camera, frame, point, 2) in px."""
+    """Return a case, the cameras, points (frame, point, 3) in mm, and exact pixels by camera."""
     cameras, placed = build_rig(scene).cameras, pose_target(scene, seed)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in cameras])
     pixels = np.stack(

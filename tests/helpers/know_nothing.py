@@ -30,14 +30,7 @@ _HUGE = 1e300
 
 @dataclass(frozen=True)
 class Trial:
-    """Outcome of one estimate made without the observations.
-
-    Attributes
-    ----------
-    name : of the estimate.
-    figures : its scores; None where it was refused.
-    refusal : error message; "" where it was scored.
-    """
+    """Scores of one estimate, by its name; or, with `figures` None, the error message."""
 
     name: str
     figures: Figures | None
@@ -57,7 +50,6 @@ def try_all(task: Task, data: Dataset, out: Path) -> Iterator[Trial]:
 
 
 def estimates(task: Task, data: Dataset) -> dict[str, Make]:
-    """Make the estimates of a task, by their names."""
     makers: dict[type[Estimate], Callable[[Dataset], dict[str, Make]]] = {
         Reconstruction: _volumes,
         FoundParticles: _particles,

@@ -103,8 +103,7 @@ def _typo(text: str, rng: random.Random) -> str:
 
 
 def data(whole: bytes, rng: random.Random, head: int = 4096) -> bytes:
-    """Change one to eight bytes. Half of them are near the beginning, where the headers of formats
-    are."""
+    """Change one to eight bytes, half of them near the beginning, where headers are."""
     made = bytearray(whole)
     for _ in range(rng.choice((1, 1, 2, 4, 8))):
         if not made:
@@ -384,8 +383,7 @@ _NAMES = (
 
 
 def archive(path: Path, files: list[bytes], rng: random.Random) -> None:
-    """Make an archive of some files under good and bad names. It has members that nobody should
-    unpack, and sometimes damaged bytes."""
+    """Make an archive of good and bad names and members, sometimes with damaged bytes."""
     if path.name.endswith(".zip"):
         _zip(path, files, rng)
     else:

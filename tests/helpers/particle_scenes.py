@@ -84,8 +84,7 @@ SMALL = make_camera(
 def isolated(
     camera: Camera, depth_mm: tuple[float, float], pitch: int, seed: int
 ) -> tuple[F64, I64]:
-    """Return particles behind the wall whose images lie on a jittered lattice. And the lattice's
-    nearest pixels (column, row)."""
+    """Return particles whose images lie on a jittered lattice, and the lattice's pixels."""
     rng = np.random.default_rng(seed)
     column, row = np.meshgrid(
         np.arange(pitch, camera.columns - pitch, pitch),

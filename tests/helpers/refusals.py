@@ -29,7 +29,6 @@ update = False  # set by the option of pytest
 
 
 def begin() -> None:
-    """Begin a run of a test."""
     _reached.clear()
 
 

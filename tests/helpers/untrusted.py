@@ -133,7 +133,6 @@ class Base:
     interrupted: Path
 
     def data_of(self, task: str) -> Dataset:
-        """Return the data set that a task's result belongs to."""
         own = {"calibration": self.target, "bubbles": self.code, "see_through": self.code}
         return own.get(task, self.particles)
 
@@ -187,8 +186,7 @@ Case = Callable[[Base, Path, Path, random.Random], Feed]
 
 
 def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Run `sabench generate` on a damaged scene. A scene that is accepted and would take long is
-    only checked."""
+    """Generate a damaged scene; one that is accepted and would take long is only checked."""
     whole = dict(TARGETS if rng.random() < 0.15 else SCENE)
     if "particles" in whole:
         whole |= {key: value for key, value in EXTRAS.items() if rng.random() < 0.2}
@@ -252,8 +250,7 @@ def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Run `sabench verify`, `score` and `solve` on a data set with one damaged file. In most cases
-    the manifest has the damaged file's checksum."""
+    """Verify, score and solve a data set with a damaged file, mostly with its checksum."""
     source = rng.choice((base.particles, base.particles, base.target, base.code))
     root = Path(shutil.copytree(source.root, inputs / "set"))
     kept = [
@@ -381,8 +378,7 @@ def _exported(root: Path, out: Path) -> None:
 
 
 def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Score a damaged result, and adopt it as the result of a program. As `sabench score` and
-    `sabench solve ./program` do."""
+    """Score a damaged result, and adopt it as the result of a program."""
     track = rng.choice(sorted(base.results))
     data = base.data_of(track)
     path = Path(shutil.copy(base.results[track], inputs / "result.h5"))
@@ -468,8 +464,7 @@ KINDS: dict[str, Case] = {
 
 
 def check_sentence(text: str) -> None:
-    """Check that a complaint is one sentence on one line. Or a headline and one short indented line
-    for each fault."""
+    """Check that a complaint is one line, or a headline and a short indented line a fault."""
     assert text, "an error without words"
     head, *faults = text.split("\n")
     assert bool(faults) == head.endswith("faults:"), f"an error of several lines: {text[:300]!r}"

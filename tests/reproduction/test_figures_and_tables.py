@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from scipy.special import erf, ndtr, ndtri
 
-from reproduction import chapter_2_efficiency, chapter_2_vortex_rings as rings, chapter_3, theory
+from reproduction import (
+    chapter_2_efficiency,
+    chapter_2_vortex_rings as rings,
+    chapter_3,
+    jet_scaling,
+    theory,
+)
 from reproduction.chapter_4 import Board, draw, reprojection
 from reproduction.chapter_4_traverse import (
     MIDDLE,
@@ -22,17 +28,6 @@ from reproduction.chapter_4_traverse import (
 from reproduction.chapter_5 import JETS, fall, froude, reynolds, table_5_1, weber
 from reproduction.chapter_6_grid import _join, _reference, _scene, _to_reference, measure_sharpness
 from reproduction.common import coarsen
-from reproduction.jet_scaling import (
-    TOTAL,
-    FivePoints,
-    explained_share,
-    find_tilt,
-    five_points,
-    radial_slope,
-    slopes,
-    straighten,
-    total_factor,
-)
 from reproduction.theory import TABLE_3_1, Algorithm, normality, operations, plane_spacing_ratio
 from sabench.api import Calibration
 from sabench.geometry.camera import Camera
@@ -143,8 +138,7 @@ def test_moments_and_distance_of_known_distributions() -> None:
     ):
         found = normality(0.3 + 0.05 * values)
         assert (found.skewness, found.excess_kurtosis) == pytest.approx(moments, abs=within)
-    normal = ndtr(math.sqrt(12.0) * (quantiles - 0.5))
-    expected = np.abs(quantiles - normal).max()
+    expected = np.abs(quantiles - ndtr(math.sqrt(12.0) * (quantiles - 0.5))).max()
     assert normality(quantiles).distance == pytest.approx(expected, abs=1e-4)
     assert normality(ndtri(quantiles)).distance < 0.004
 
@@ -157,27 +151,25 @@ def test_a_dark_image_with_few_particles_is_far_from_normal() -> None:
         normality(np.ones(5))
 
 
-LAW = FivePoints(0.002, 0.05, 90.0, 6.0, 120.0)
+LAW = jet_scaling.FivePoints(0.002, 0.05, 90.0, 6.0, 120.0)
 
 
-def figures(law: FivePoints, step: float = 2.0) -> JetFigures:
+def figures(law: jet_scaling.FivePoints, step: float = 2.0) -> JetFigures:
     y, r = np.arange(step / 2.0, 180.0, step), np.arange(step / 8.0, 60.0, step / 4.0)
-    nearest = int(np.abs(y - law.peak_mm).argmin())
-    y = y + law.peak_mm - y[nearest]
+    y = y + law.peak_mm - y[int(np.abs(y - law.peak_mm).argmin())]
     c = law.concentration(y[:, None], r[None])
     total = 2.0 * np.pi * c.sum(axis=1) * step / 4.0
-    half = law.total(y) / (TOTAL * law.on_axis(y))
+    half = law.total(y) / (jet_scaling.TOTAL * law.on_axis(y))
     nan = float("nan")
     return JetFigures(y, r, c, total, law.on_axis(y), half, law.penetration_mm, *([nan] * 5))
 
 
 def test_laws_are_found_again() -> None:
     jet = figures(LAW)
-    assert slopes([jet]) == pytest.approx((2.21, -2.87), rel=0.01)
-    assert radial_slope(jet) == pytest.approx(LN2, rel=1e-3)
-    assert total_factor(jet) == pytest.approx(TOTAL, rel=2e-3)
-    scaled = LAW.scaled_depth(jet.depth_mm)
-    fitted = fit_total(scaled, jet.total / jet.total.max())
+    assert jet_scaling.slopes([jet]) == pytest.approx((2.21, -2.87), rel=0.01)
+    assert jet_scaling.radial_slope(jet) == pytest.approx(LN2, rel=1e-3)
+    assert jet_scaling.total_factor(jet) == pytest.approx(jet_scaling.TOTAL, rel=2e-3)
+    fitted = fit_total(LAW.scaled_depth(jet.depth_mm), jet.total / jet.total.max())
     assert fitted == pytest.approx((0.903, 0.1894), rel=5e-3)
 
 
@@ -191,12 +183,12 @@ def test_equation_5_22_is_the_integral_of_5_19() -> None:
 
 def test_five_points_predict_the_whole_field() -> None:
     jet = figures(LAW)
-    points = five_points(jet)
+    points = jet_scaling.five_points(jet)
     assert points.peak_mm == pytest.approx(90.0)
-    assert explained_share(points, jet) == pytest.approx(1.0, abs=1e-3)
-    assert explained_share(replace(LAW, peak_mm=50.0), jet) < 0.8
+    assert jet_scaling.explained_share(points, jet) == pytest.approx(1.0, abs=1e-3)
+    assert jet_scaling.explained_share(replace(LAW, peak_mm=50.0), jet) < 0.8
     with refused(kind=ValueError):
-        five_points(analyse(np.zeros((0, 3)), np.zeros(0), np.zeros(3), 100.0, EDGE))
+        jet_scaling.five_points(analyse(np.zeros((0, 3)), np.zeros(0), np.zeros(3), 100.0, EDGE))
 
 
 def cloud(seed: int, count: int) -> F64:
@@ -211,11 +203,9 @@ def test_a_tilt_is_found_within_its_statistical_error_and_removed() -> None:
     impact, tilt, count = np.array([3.0, -2.0, 150.0]), (1.5, -0.7), 1500
     own = []
     for seed in range(20):
-        upright = cloud(seed, count)
-        tilted = straighten(upright, np.zeros(3), (0.0, 0.0)) + impact
+        tilted = jet_scaling.straighten(cloud(seed, count), np.zeros(3), (0.0, 0.0)) + impact
         # rotates by the inverse: a jet tilted the other way
-        back = straighten(tilted, impact, tilt)
-        own.append(find_tilt(back, impact))
+        own.append(jet_scaling.find_tilt(jet_scaling.straighten(tilted, impact, tilt), impact))
     mean, scatter = np.mean(own, axis=0), np.std(own, axis=0, ddof=1)
     expected = np.rad2deg(0.1 / np.sqrt(count))
     assert mean == pytest.approx((-1.5, 0.7), abs=4.0 * expected / np.sqrt(20))
@@ -226,12 +216,12 @@ def test_a_straightened_jet_is_upright() -> None:
     impact = np.array([3.0, -2.0, 150.0])
     axis = np.array([np.tan(np.deg2rad(1.5)), 1.0, np.tan(np.deg2rad(-0.7))])
     points = impact + np.linspace(1.0, 160.0, 40)[:, None] * axis
-    assert find_tilt(points + 1e-6, impact) == pytest.approx((1.5, -0.7), abs=1e-4)
-    moved = straighten(points, impact, (1.5, -0.7)) - impact
+    assert jet_scaling.find_tilt(points + 1e-6, impact) == pytest.approx((1.5, -0.7), abs=1e-4)
+    moved = jet_scaling.straighten(points, impact, (1.5, -0.7)) - impact
     assert moved[:, [0, 2]] == pytest.approx(np.zeros((40, 2)), abs=1e-9)
     assert np.linalg.norm(moved, axis=1) == pytest.approx(np.linalg.norm(points - impact, axis=1))
     with refused(kind=ValueError):
-        find_tilt(points[:3], impact)
+        jet_scaling.find_tilt(points[:3], impact)
 
 
 def test_the_air_of_the_cone_is_that_of_the_law() -> None:
@@ -273,8 +263,7 @@ def test_the_grid_moves_by_four_millimetres(given: Board) -> None:
 
 def test_alignment_undoes_a_motion_and_leaves_a_skew(given: Board) -> None:
     points = given.points_mm
-    motion = rotation_matrices(np.deg2rad([2.0, 1.0, 0.0]))
-    moved = points @ motion.T + np.array([0.1, -0.2, 0.3])
+    moved = points @ rotation_matrices(np.deg2rad([2.0, 1.0, 0.0])).T + np.array([0.1, -0.2, 0.3])
     skewed = points.copy()
     skewed[..., 0] += 0.01 * (points[..., 2] - points[MIDDLE, 0, 2])
     for other, rest in ((moved, 0.0), (skewed, 0.01 * STEP_MM * (PLANES // 2))):
@@ -320,9 +309,8 @@ def test_arrays_hold_as_many_particles_a_pixel_as_the_thesis_says() -> None:
     for name, per_total, per_px, scene in chapter_2_efficiency._tomographic_scenes():
         row = chapter_2_efficiency._efficiency(name, per_total, per_px, scene)
         assert row.verdict == "reproduced", name
-        spec = scene.particle_world.particles["per_pixel"]
         cameras, grid = scene.cameras, build_rig(scene).grid
-        count = spec * cameras.rows * cameras.columns
+        count = scene.particle_world.particles["per_pixel"] * cameras.rows * cameras.columns
         assert count / (grid.shape[1] * grid.shape[2]) == pytest.approx(per_px)
     for _, per_total, scene, _ in chapter_2_efficiency._particle_scenes():
         pixels = scene.cameras.rows * scene.cameras.columns
@@ -335,8 +323,7 @@ def test_cut_images_hold_the_cut() -> None:
         size = np.asarray(scene.volume.size_mm) / 2.0
         for camera in build_rig(scene).cameras:
             corners = size * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-            seen = camera.contains(camera.project(corners)[0], margin_px=25.0)
-            assert seen.mean() > 0.7, name
+            assert camera.contains(camera.project(corners)[0], margin_px=25.0).mean() > 0.7, name
 
 
 def test_a_coarse_copy_keeps_density_and_shifted_sensors() -> None:
@@ -408,8 +395,7 @@ def test_setups_have_their_baseline_and_planes() -> None:
     for setup in rings._FIXED + rings._OWN + rings._SPACED:
         rig = build_rig(rings.scene_at_baseline(setup))
         centers = np.array([camera.center_mm for camera in rig.cameras])
-        steps = np.diff(np.unique(centers[:, 0].round(6)))
-        assert steps / 510.0 == pytest.approx(setup.baseline)
+        assert np.diff(np.unique(centers[:, 0].round(6))) / 510.0 == pytest.approx(setup.baseline)
         assert rig.grid.voxel_mm[2] == pytest.approx(setup.plane_mm)
         assert round(2.0 / setup.plane_mm) in (4, 8, 12, 16, 20, 24, 32)
     assert rings.plane_mm(0.4) == pytest.approx(0.125, rel=1e-3)
@@ -505,7 +491,6 @@ def test_iterations_remove_ghosts(monkeypatch: pytest.MonkeyPatch) -> None:
     ghosts = [row.measured or 0.0 for row in rows if row.name.endswith("ghost %")]
     assert len(ghosts) == 3
     assert ghosts == sorted(ghosts, reverse=True)
-    true = [row.measured or 0.0 for row in rows if row.name.endswith("true %")]
-    assert min(true) > 85.0
+    assert min([row.measured or 0.0 for row in rows if row.name.endswith("true %")]) > 85.0
     assert rows[-1].verdict == "reproduced"
     assert rows[-1].note.endswith("[25] cameras")

@@ -9,12 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles import (
-    BayesianIprSettings,
-    bayesian_ipr,
-    fit_cameras,
-    reconstruct_most_probable,
-)
+from sabench.algorithms import particles
 from sabench.algorithms.particles.bayesian_ipr import CAPS, search_frame, split_and_find
 from sabench.algorithms.particles.learned_model import weigh_pixels
 from sabench.algorithms.particles.particle_search import ParticleSearch
@@ -41,11 +36,13 @@ def make_shot(seed: int, **changes: Any) -> Shot:
 
 
 def find_in(case: Observation) -> FoundParticles:
-    return reconstruct_most_probable(case, fit_cameras(case), BayesianIprSettings())
+    return particles.reconstruct_most_probable(
+        case, particles.fit_cameras(case), particles.BayesianIprSettings()
+    )
 
 
 def search(case: Observation) -> ParticleSearch:
-    found = search_frame(case, fit_cameras(case), BayesianIprSettings())
+    found = search_frame(case, particles.fit_cameras(case), particles.BayesianIprSettings())
     assert found is not None
     return found
 
@@ -108,7 +105,7 @@ def test_particles_are_found_and_no_ghosts(name: str) -> None:
 def test_no_true_particle_is_removed_because_others_are_not_fitted_yet() -> None:
     """Trials count what neighbours gain, which they would gain beside the particle, too."""
     shot = make_shot(31, particles={"per_pixel": 0.12})
-    found, maps = search(shot.observation), fit_cameras(shot.observation)
+    found, maps = search(shot.observation), particles.fit_cameras(shot.observation)
     place = (shot.particles.position_mm - maps.middle_mm) / maps.half_mm
     off = np.random.default_rng(1).normal(0.0, 0.005, place.shape) / maps.half_mm
     found.select(np.zeros(len(found.position), dtype=np.bool_))
@@ -126,9 +123,9 @@ def test_pairs_are_tried_no_more_once_hardly_any_is_added(monkeypatch: pytest.Mo
         rounds.append(split_and_find(search))
         return rounds[-1]
 
-    monkeypatch.setattr(bayesian_ipr, "split_and_find", counted)
+    monkeypatch.setattr(particles.bayesian_ipr, "split_and_find", counted)
     found = search(shot.observation)
-    assert 1 <= len(rounds) < BayesianIprSettings().splits
+    assert 1 <= len(rounds) < particles.BayesianIprSettings().splits
     assert rounds[-1] < 0.001 * len(found.position)
 
 

@@ -16,26 +16,10 @@ from sabench.dataset.reader import Dataset
 from tests.conftest import Command
 from tests.helpers.calibration_cases import calibration_scene, case_of, write_points
 from tests.helpers.commands import refuse, succeed
+from tests.helpers.plug_ins import write_solver
 from tests.system.test_calibrate import describe
 
-BLIND = '''"""Turns all cameras away from the target."""
-
-from dataclasses import replace
-
-import numpy as np
-
-from sabench.api import Calibration, CalibrationSolver
-
-
-class Blind(CalibrationSolver):
-    """Cameras behind which all points lie, or in whose images none lies."""
-
-    name = "{name}"
-
-    def solve(self, case):
-        blind = tuple({camera} for own in case.cameras)
-        return Calibration(blind, {points})
-'''
+HEAD = "from dataclasses import replace"
 BEHIND = "replace(own, rotation=(np.diag([-1.0, 1.0, -1.0]) @ own.rotation).tolist())"
 OUTSIDE = "replace(own, principal_point_px=(1e7, 1e7))"
 WAYS = {
@@ -59,10 +43,9 @@ def boards(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "plugins" / "solvers"
-    folder.mkdir(parents=True)
     for name, (camera, points) in WAYS.items():
-        (folder / f"{name}.py").write_text(BLIND.format(name=name, camera=camera, points=points))
+        solve = f"return Calibration(tuple({camera} for own in case.cameras), {points})"
+        write_solver(tmp_path / "plugins", name, solve, HEAD, "CalibrationSolver")
     monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path / "plugins"))
 
 

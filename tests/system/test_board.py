@@ -28,13 +28,11 @@ def record(solver: str, q: float | None = None, **changes: Any) -> Record:
 
 
 def page_of(records: list[Record], folder: Path) -> str:
-    """The page of these records as text."""
     board.build_page(records, folder / "pictures", folder / "index.html")
     return (folder / "index.html").read_text(encoding="utf-8")
 
 
 def block(text: str, name: str = "data") -> Any:
-    """A block of JSON in a page."""
     (found,) = re.findall(
         rf'<script type="application/json" id="{name}">(.*?)</script>', text, re.DOTALL
     )
@@ -42,7 +40,6 @@ def block(text: str, name: str = "data") -> Any:
 
 
 def solvers(text: str) -> list[str]:
-    """Names of all rows of a page, in its order."""
     data = block(text)
     return [data["texts"][row["solver"]] for row in data["rows"]]
 
@@ -63,7 +60,6 @@ STATIC = r'<section class="static">.*?</section>\n'
 
 
 def without_data(text: str) -> str:
-    """A page without its block of JSON."""
     return re.sub(r'(?<=id="data">).*?(?=</script>)', "", text, count=1, flags=re.DOTALL)
 
 

@@ -1,5 +1,4 @@
-"""The leaderboard in a browser. It sorts, filters, plots and compares, runs no text of a record as
-code, and fits a phone."""
+"""The leaderboard in a browser: it sorts, filters, plots, compares, and fits a phone."""
 
 import csv
 import io
@@ -84,9 +83,6 @@ def graded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "index.html"
 
 
-# The table
-
-
 @pytest.mark.slow
 def test_a_click_sorts_numbers_as_numbers_and_nulls_last(browser: Browser, page: Path) -> None:
     browser.open(page, "#q=tank")
@@ -127,15 +123,10 @@ def test_details_and_the_command_are_there_to_be_copied(browser: Browser, page: 
     permissions = ["clipboardReadWrite", "clipboardSanitizedWrite"]
     browser.devtools("Browser.grantPermissions", permissions=permissions)
     browser.press("//button[text()='copy']")
-    browser.wait(
-        "[...document.querySelectorAll('.copy')].some(one => one.textContent === 'copied')"
-    )
+    browser.wait("[...document.querySelectorAll('.copy')].some(p => p.textContent === 'copied')")
     assert browser.ask("navigator.clipboard.readText()") == "sabench run quick --solver ten"
     browser.press("//button[text()='details']")
     assert browser.count("tr.details") == 0
-
-
-# Filters and links
 
 
 @pytest.mark.slow
@@ -156,9 +147,6 @@ def test_filters_are_kept_in_the_fragment_of_a_link(browser: Browser, graded: Pa
     assert browser.ask("document.querySelector('input[type=search]').value") == "standard a"
     browser.press("//button[text()='clear']")
     assert browser.ask(STATUS) == "13 of 13 results"
-
-
-# Nothing of a record runs
 
 
 @pytest.mark.slow_but_first
@@ -195,9 +183,6 @@ def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) 
         assert browser.ask(caught)
         said = " ".join(browser.complaints())
         assert "Trusted" in said or "Content Security Policy" in said
-
-
-# Plots
 
 
 def labels(browser: Browser, plot: int) -> list[str]:
@@ -256,9 +241,6 @@ def test_difficulty_and_axes_show_scores_and_losses(browser: Browser, graded: Pa
     )
 
 
-# One case
-
-
 def test_pictures_come_with_their_case_only(browser: Browser, page: Path) -> None:
     browser.open(page, LOG)
     assert browser.ask("document.images.length") == 0
@@ -299,9 +281,6 @@ def test_two_solvers_are_compared_over_their_common_seeds(browser: Browser, grad
     assert differences(browser)["q"][2:] == ["-0.0800", "1", "one common seed: no interval"]
     browser.open(graded, fragment)
     assert differences(browser)["q"][2] == exact.text(4)
-
-
-# Small screens, large boards, all readers
 
 
 @pytest.mark.slow
@@ -355,9 +334,6 @@ def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, la
     assert re.fullmatch(r"#view=table&q=case-499\+solver_1&sort=q", browser.ask("location.hash"))
     assert browser.count("*") < 1500
     assert browser.complaints() == []
-
-
-# Recorded data sets
 
 
 def judged(solver: str, explained: float | None, **changes: Any) -> Record:
@@ -465,24 +441,19 @@ def ranking(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "index.html"
 
 
-# The ranking
-
-
 def test_the_page_opens_with_the_ranking_and_curves(browser: Browser, ranking: Path) -> None:
     browser.open(ranking)
     assert browser.ask(PLACES) == [["1", "good"], ["1", "close"], ["3", FORMULA], [DASH, "fair"]]
     assert browser.ask(RANKS) == [["=1"] * 3, ["=1"] * 3, ["4", "4", "3"], ["3", "3", DASH]]
     assert browser.texts(".board b.score") == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
     browser.wait(DRAWN)
-    count = "document.querySelectorAll('.plot').length"
-    assert browser.ask(count) == 2  # over the density and over the tolerance
+    assert browser.count(".plot") == 2  # over the density and over the tolerance
     bands = "document.querySelectorAll('.plot')[0].querySelectorAll('.mark-area path').length"
     assert browser.ask(bands) == 4
     points = "document.querySelectorAll('.plot')[1].querySelectorAll('.mark-symbol path').length"
     assert browser.ask(points) == 4 * 10
-    heads = "[...document.querySelectorAll('h3')].map(head => head.textContent)"
     over = ("one property of the scene", "the matching tolerance, standard")
-    assert browser.ask(heads) == [f"Score over {one}" for one in over]
+    assert browser.texts("h3") == [f"Score over {one}" for one in over]
     assert browser.complaints() == []
 
 
@@ -492,18 +463,13 @@ def test_accuracy_against_time_has_a_line_through_iterations(
 ) -> None:
     browser.open(ranking, "#view=time&case=standard-standard-splat")
     browser.wait(DRAWN)
-    count = "document.querySelectorAll('.plot .mark-line path').length"
-    assert browser.ask(count) == 1
+    assert browser.count(".plot .mark-line path") == 1
     label = "document.querySelector('[aria-label*=\"after 2 iterations\"]').ariaLabel"
     assert browser.ask(label) == "good: Q 0.700, 3.00 s, after 2 iterations"
     assert browser.complaints() == []
 
 
-# Files
-
-
 def saved(browser: Browser, name: str) -> str:
-    """The content that a button would save."""
     browser.ask(CATCH)
     browser.press(f"(//button[starts-with(@aria-label, 'save') and text()='{name}'])[1]")
     browser.wait("window.saved.length === 2")
@@ -539,20 +505,16 @@ def test_plots_are_saved_as_svg_and_png(browser: Browser, ranking: Path) -> None
     assert browser.complaints() == []
 
 
-# Figures on top of each other
-
-
 @pytest.mark.slow
 def test_a_slider_uncovers_one_of_two_figures_and_both_zoom(
     browser: Browser, ranking: Path
 ) -> None:
     browser.open(ranking, VIEWS[-1])
-    names = "[...document.querySelectorAll('.swipe span')].map(one => one.textContent)"
-    assert browser.ask(names) == ["truth", "good"]
+    assert browser.texts(".swipe span") == ["truth", "good"]
     browser.press("//select/option[text()='close: errors']/..")
     right = "//section[@id='viewer']//label[span='Right']//option[text()='close: errors']"
     browser.press(right)
-    assert browser.ask(names) == ["truth", "close: errors"]
+    assert browser.texts(".swipe span") == ["truth", "close: errors"]
     cover = "document.querySelector('.cover').style.clipPath"
     assert "50%" in browser.ask(cover)
     browser.press("//input[@type='range']", "\ue012")  # arrow to the left
@@ -561,9 +523,6 @@ def test_a_slider_uncovers_one_of_two_figures_and_both_zoom(
     browser.press("//div[contains(@class, 'frame')]", "\ue014")  # arrow to the right
     moved = "[...document.querySelectorAll('.frame img')].map(one => one.style.transform)"
     assert browser.ask(moved) == ["scale(4) translate(-2.5%, 0%)"] * 2
-
-
-# Narrow screens, no script, accessibility
 
 
 @pytest.mark.slow

@@ -89,8 +89,7 @@ def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_three_phases_in_one_image(tmp_path: Path) -> None:
-    """Tracers, bubbles and a cylinder in one scene. Tracers are outside the bodies, and dark in
-    their shadows."""
+    """Tracers are outside the bodies, and dark in the shadows of bubbles and a cylinder."""
     solid = {"generator": "cylinder", "radius_mm": 2.0, "length_mm": 17.0}
     solid |= {"place_mm": [-6.0, 0.0, 60.0], "material": {"reflectance": 0.0}}
     field = {"generator": "bubble_list", "center_mm": [[4.0, 0.0, 60.0]], "radius_mm": [2.5]}
@@ -116,8 +115,7 @@ def test_three_phases_in_one_image(tmp_path: Path) -> None:
     (body,) = data.solids(0)
     assert np.ptp(body.vertices_mm, axis=0) == pytest.approx([4.0, 17.0, 4.0], abs=0.02)
     middle = next(camera for camera in data.setup.cameras if np.allclose(camera.center_mm[:2], 0.0))
-    sight = data.sight(0, middle)
-    assert (sight.number == NOTHING - 1).mean() > 0.05
+    assert (data.sight(0, middle).number == NOTHING - 1).mean() > 0.05
     hidden = data.views(0)[data.setup.cameras.index(middle)]
     back = (np.abs(x + 6.0) < 1.0) & (z > 4.0) & (np.abs(y) < 6.0)
     assert back.sum() > 10
@@ -189,8 +187,7 @@ def test_a_data_set_has_its_own_copies_of_files(tmp_path: Path) -> None:
     scene = small(bubbles=None, solids=[cube(tmp_path)], render={"relative_error": 0.2})
     data = generate(scene, tmp_path / "data", seed=1)
     (tmp_path / "body.stl").unlink()
-    again = generate(data.scene, tmp_path / "again", seed=1)
-    assert again.content_hash == data.content_hash
+    assert generate(data.scene, tmp_path / "again", seed=1).content_hash == data.content_hash
 
 
 def test_bodies_turn_and_move() -> None:
@@ -201,9 +198,7 @@ def test_bodies_turn_and_move() -> None:
     sizes: list[F64] = [np.ptp(frames.at(frame).solids[0].vertices_mm, axis=0) for frame in (0, 1)]
     assert sizes[0] == pytest.approx([2.0, 6.0, 2.0], abs=0.01)
     assert sizes[1] == pytest.approx([6.0, 2.0, 2.0], abs=0.01)
-    assert frames.at(1).solids[0].vertices_mm.mean(axis=0) == pytest.approx(
-        [5.0, 0.0, 60.0], abs=1e-6
-    )
+    assert frames.at(1).solids[0].vertices_mm.mean(0) == pytest.approx([5.0, 0.0, 60.0], abs=1e-6)
 
 
 TRACKS = ("link_recall", "link_precision", "effectiveness", "velocity_mm_s", "velocity_percent")
@@ -212,21 +207,14 @@ SPEED = np.array([300.0, -150.0, 100.0])  # 3.5 mm a frame, about as far as the 
 
 @pytest.fixture(scope="module")
 def moving(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    field = {
-        "generator": "bubble_field",
-        "count": 24,
-        "radius_mm": 0.8,
-        "radius_spread": 0.3,
-        "radius_range_mm": [0.5, 1.6],
-        "velocity_mm_s": SPEED.tolist(),
-    }
+    field = {"generator": "bubble_field", "count": 24, "radius_mm": 0.8, "radius_spread": 0.3}
+    field |= {"radius_range_mm": [0.5, 1.6], "velocity_mm_s": SPEED.tolist()}
     scene = small(frames=3, interval_s=0.01, bubbles=field, render={"relative_error": 0.2})
     return generate(scene, tmp_path_factory.mktemp("data") / "moving", seed=1)
 
 
 def perturbed(data: Dataset) -> list[Detections]:
-    """Return what a good solver might find. All bubbles but one in each frame, with small errors,
-    in random order, and two ghosts."""
+    """Return all bubbles but one a frame, with small errors, shuffled, and two ghosts."""
     rng, out = np.random.default_rng(4), []
     for frame in range(data.setup.frames):
         true = data.bubbles(frame)
@@ -293,9 +281,7 @@ def test_from_images_to_scores(moving: Dataset, tmp_path: Path) -> None:
 def test_tracks_of_other_programs_count(moving: Dataset, tmp_path: Path) -> None:
     true = [moving.bubbles(frame) for frame in range(3)]
     found = [Detections(one.center_mm, one.semi_axes_mm, one.turn) for one in true]
-    own: dict[str, I64] = {
-        f"f{frame:04d}": one.id.astype(np.uint32) for frame, one in enumerate(true)
-    }
+    own: dict[str, I64] = {f"f{n:04d}": one.id.astype(np.uint32) for n, one in enumerate(true)}
     for name, track, expected in (
         ("right.h5", own, 1.0),
         ("wrong.h5", own | {"f0001": true[1].id + 1000}, 0.0),

@@ -23,43 +23,36 @@ from sabench.simulation.rendering.targets_traced import render
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import pose_target
 from tests.conftest import Command
-from tests.helpers.calibration_cases import (
-    calibration_scene,
-    case_of,
-    true_error_px,
-    write_points,
-)
+from tests.helpers import calibration_cases
 from tests.helpers.calibration_tanks import MIDDLE, make_tank, off_wall, rotated, with_places
 from tests.helpers.commands import refuse, succeed
 from tests.helpers.refusals import refused
 
 
+def write_toml(
+    folder: Path, cameras: tuple[Any, ...], aim_mm: list[float], step: float, values: dict[str, Any]
+) -> None:
+    """Write calibration.toml as an experimenter with a ruler would."""
+    listed = [
+        {"name": c.name, "center_mm": [round(v / step) * step for v in c.center_mm]}
+        | {"aim_mm": aim_mm}
+        for c in cameras
+    ]
+    kept = {key: one for key, one in ({"cameras": listed} | values).items() if one is not None}
+    folder.mkdir(exist_ok=True)
+    (folder / "calibration.toml").write_text(tomli_w.dumps(kept))
+
+
 def describe(scene: Scene, folder: Path, cameras: tuple[Camera, ...], **changes: Any) -> None:
-    """calibration.toml as an experimenter with a ruler would write it."""
-    target = dict(scene.targets or {})
-    spec = scene.cameras
+    target, spec = dict(scene.targets or {}), scene.cameras
+    array = {key: getattr(spec, key) for key in ("rows", "columns", "pixel_mm")}
     values: dict[str, Any] = {
         "target_mm": [0.0, 0.0, 35.0],
         "target": {key: target[key] for key in ("pattern", "columns", "rows", "pitch_mm")},
-        "array": {
-            "rows": spec.rows,
-            "columns": spec.columns,
-            "pixel_mm": spec.pixel_mm,
-            "focal_length_mm": 85.0,
-            "principal_distance_mm": 100.0,
-        },
+        "array": array | {"focal_length_mm": 85.0, "principal_distance_mm": 100.0},
         "wall": {"fluid_index": 1.333, "layers": [{"index": 1.5, "thickness_mm": 5.0}]},
-        "cameras": [
-            {
-                "name": c.name,
-                "center_mm": [round(v / 10.0) * 10.0 for v in c.center_mm],
-                "aim_mm": [2.0, -2.0, 30.0],
-            }
-            for c in cameras
-        ],
-    } | changes
-    folder.mkdir(exist_ok=True)
-    (folder / "calibration.toml").write_text(tomli_w.dumps(values))
+    }
+    write_toml(folder, cameras, [2.0, -2.0, 30.0], 10.0, values | changes)
 
 
 def cameras_in(path: Path) -> tuple[Camera, ...]:
@@ -72,23 +65,18 @@ def cameras_in(path: Path) -> tuple[Camera, ...]:
 @pytest.mark.slow
 def test_a_round_tank_is_calibrated(command: Command, tmp_path: Path) -> None:
     """Three cameras in front of a cylinder, which the report and cameras.json keep."""
-    wall = {
-        "shape": "cylinder",
-        "axis_point_mm": [0.0, 0.0, 90.0],
-        "outer_radius_mm": 90.0,
-        "fluid_index": 1.333,
-        "layers": [{"index": 1.5, "thickness_mm": 5.0}],
-    }
+    wall = {"shape": "cylinder", "axis_point_mm": [0.0, 0.0, 90.0], "outer_radius_mm": 90.0}
+    wall |= {"fluid_index": 1.333, "layers": [{"index": 1.5, "thickness_mm": 5.0}]}
     layout = {"kind": "line", "count": 3, "spacing_mm": 150.0}
     target = {"generator": "boards", "pattern": "checkerboard", "pitch_mm": 9.0}
-    scene = calibration_scene(
+    scene = calibration_cases.calibration_scene(
         targets={**target, "columns": 5, "rows": 5}, cameras={"layout": layout}, calibration=None
     )
     values = scene.to_dict() | {"wall": wall}
-    case, cameras, _, _ = case_of(parse_scene(values, "round"))
+    case, cameras, _, _ = calibration_cases.case_of(parse_scene(values, "round"))
     known = [{"frame": 2, "point": 12, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 35.0}]
     describe(scene, tmp_path / "mine", cameras, wall=wall, known=known)
-    write_points(tmp_path / "mine" / "points.csv", case.pixels, cameras)
+    calibration_cases.write_points(tmp_path / "mine" / "points.csv", case.pixels, cameras)
     succeed(command("calibrate", str(tmp_path / "mine")))
     content = json.loads((tmp_path / "mine" / "result" / "cameras.json").read_text())
     assert content["wall"]["outer_radius_mm"] == 90.0
@@ -98,14 +86,14 @@ def test_a_round_tank_is_calibrated(command: Command, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
-    scene = calibration_scene(detection={"noise_px": 0.2, "missing": 0.05, "outliers": 0.02})
-    case, cameras, points, exact = case_of(scene)
+    scene = calibration_cases.calibration_scene(
+        detection={"noise_px": 0.2, "missing": 0.05, "outliers": 0.02}
+    )
+    case, cameras, points, exact = calibration_cases.case_of(scene)
     places = dict(zip(("x_mm", "y_mm", "z_mm"), points[2, 60].tolist(), strict=True))
-    known = [{"frame": 2, "point": 60} | places]
-    describe(scene, tmp_path / "mine", cameras, known=known)
-    write_points(tmp_path / "mine" / "points.csv", case.pixels, cameras)
-    done = succeed(command("calibrate", "mine", "--json"))
-    report = json.loads(done.stdout)
+    describe(scene, tmp_path / "mine", cameras, known=[{"frame": 2, "point": 60} | places])
+    calibration_cases.write_points(tmp_path / "mine" / "points.csv", case.pixels, cameras)
+    report = json.loads(succeed(command("calibrate", "mine", "--json")).stdout)
     assert report["noise_px"] == pytest.approx(0.2, rel=0.05)
     assert report["depth_mm"] < 0.1
     assert len(report["cameras"]) == 9
@@ -117,23 +105,17 @@ def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
     )
     assert abs(depth) < 0.5
     # turned about the normal, which one known point leaves open
-    assert true_error_px(made, points, exact) < 40.0
+    assert calibration_cases.true_error_px(made, points, exact) < 40.0
     assert (tmp_path / "mine/result/errors.png").read_bytes().startswith(b"\x89PNG")
     assert command("calibrate", "mine").returncode == 2  # the result is there
-    again = succeed(command("calibrate", "mine", "--overwrite"))
-    assert "expected true error" in again.stdout
+    assert "expected true error" in succeed(command("calibrate", "mine", "--overwrite")).stdout
 
 
 @pytest.mark.slow
 def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
-    layout = {
-        "kind": "list",
-        "places": [
-            {"center_mm": [x, y, -490.0]}
-            for x, y in ((-150.0, -80.0), (150.0, -80.0), (0.0, 150.0))
-        ],
-    }
-    scene = calibration_scene(
+    places = ((-150.0, -80.0), (150.0, -80.0), (0.0, 150.0))
+    layout = {"kind": "list", "places": [{"center_mm": [x, y, -490.0]} for x, y in places]}
+    scene = calibration_cases.calibration_scene(
         cameras={"rows": 600, "columns": 600, "pixel_mm": 0.02, "layout": layout},
         targets={"pitch_mm": 3.2},
     )
@@ -149,8 +131,7 @@ def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
             picture = render(camera, placed.target, pose, lamps, np.array([0.0, 0.0, 35.0]), 9)
             grey = np.clip(200.0 * picture, 0.0, 255.0).astype(np.uint8)
             assert cv2.imwrite(str(folder / f"{camera.name}.png"), grey)
-    done = succeed(command("calibrate", "mine", "-o", "out", "--json"))
-    report = json.loads(done.stdout)
+    report = json.loads(succeed(command("calibrate", "mine", "-o", "out", "--json")).stdout)
     assert report["noise_px"] < 0.05
     assert all(
         line["found"] >= 484 and line["used"] > 0.9 * line["found"] for line in report["cameras"]
@@ -183,7 +164,7 @@ LINES = ("camera,frame,point,column,row", "camera_00,0,0,1.5,2.5")
 def test_a_fault_is_one_sentence(
     command: Command, tmp_path: Path, lines: tuple[str, ...], changes: Any, key: str
 ) -> None:
-    scene, folder = calibration_scene(), tmp_path / "mine"
+    scene, folder = calibration_cases.calibration_scene(), tmp_path / "mine"
     describe(scene, folder, build_rig(scene).cameras)
     text = (folder / "calibration.toml").read_text()
     if changes is None:
@@ -203,30 +184,15 @@ BOARD = {"pattern": "checkerboard", "columns": 6, "rows": 5, "pitch_mm": 10.0}
 
 
 def write(folder: Path, case: CalibrationCase, rotation: F64, **changes: Any) -> None:
-    """Write a case as an experimenter with a ruler would."""
     wall = case.cameras[0].wall
     assert isinstance(wall, Wall)
     values: dict[str, Any] = {
         "target": BOARD,
         "array": {"rows": 800, "columns": 900, "pixel_mm": 0.01, "focal_length_mm": 50.0},
-        "wall": {
-            "point_mm": list(wall.point_mm),
-            "normal": list(wall.normal),
-            "fluid_index": 1.333,
-            "layers": [{"index": 1.5, "thickness_mm": 8.0}],
-        },
-        "cameras": [
-            {
-                "name": camera.name,
-                "center_mm": [round(value) for value in camera.center_mm],
-                "aim_mm": (rotation @ MIDDLE).tolist(),
-            }
-            for camera in case.cameras
-        ],
-    } | changes
-    folder.mkdir()
-    kept = {key: value for key, value in values.items() if value is not None}
-    (folder / "calibration.toml").write_text(tomli_w.dumps(kept))
+        "wall": {"point_mm": list(wall.point_mm), "normal": list(wall.normal)}
+        | {"fluid_index": 1.333, "layers": [{"index": 1.5, "thickness_mm": 8.0}]},
+    }
+    write_toml(folder, case.cameras, (rotation @ MIDDLE).tolist(), 1, values | changes)
     with (folder / "points.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow([*HEAD, "x_mm", "y_mm", "z_mm", "sigma_mm"])
@@ -287,13 +253,11 @@ def test_solvers_of_known_places(
 ) -> None:
     case, _, places = make_tank()
     write(tmp_path / "mine", with_places(case, places), np.eye(3), target=target)
-    done = succeed(command("calibrate", "mine", "--solver", solver, "--json"))
-    report = json.loads(done.stdout)
+    report = json.loads(succeed(command("calibrate", "mine", "--solver", solver, "--json")).stdout)
     limit = 0.3 if solver == "pinhole_linear" else 0.15  # straight lines through a flat glass
     assert report["noise_px"] < limit
     assert report["held_out"]["known_mm"] < 2.0 * limit
-    cameras = json.loads((tmp_path / "mine/result/cameras.json").read_text())["cameras"]
-    assert len(cameras) == 3
+    assert len(json.loads((tmp_path / "mine/result/cameras.json").read_text())["cameras"]) == 3
 
 
 @pytest.mark.slow
@@ -373,14 +337,9 @@ def test_outliers_are_no_errors_of_held_out_frames(command: Command, tmp_path: P
     assert held_out["rigidity_mm"] < 0.03
 
 
-ERRORS = {
-    "wall_mm": 3.0,
-    "wall_deg": 0.5,
-    "thickness_percent": 5.0,
-    "layer_index": 0.01,
-    "fluid_index": 0.003,
-    "unknown": ["wall", "thickness", "layer_index", "fluid_index"],
-}
+ERRORS: dict[str, Any] = {"wall_mm": 3.0, "wall_deg": 0.5, "thickness_percent": 5.0}
+ERRORS |= {"layer_index": 0.01, "fluid_index": 0.003}
+ERRORS |= {"unknown": ["wall", "thickness", "layer_index", "fluid_index"]}
 KNOWN = [{"frame": frame, "point": point} for frame in range(5) for point in (0, 10, 60, 110, 120)]
 EXACT: dict[str, Any] = {"center_mm": 0.0, "turn_deg": 0.0, "focal_percent": 0.0}
 
@@ -388,7 +347,7 @@ EXACT: dict[str, Any] = {"center_mm": 0.0, "turn_deg": 0.0, "focal_percent": 0.0
 def test_a_data_set_holds_the_nominal_wall_and_the_true_one(tmp_path: Path) -> None:
     known = EXACT | {"known_cameras": True, "known": KNOWN, "unknown": ["wall"]}
     errors = {"wall_mm": 3.0, "wall_deg": 0.5}
-    scene = calibration_scene(calibration=known | errors)
+    scene = calibration_cases.calibration_scene(calibration=known | errors)
     data = sabench.generate(scene, tmp_path / "boards", seed=1, backend="splat")
     case = data.calibration_case()
     nominal, true = case.cameras[0].wall, data.true_cameras[0].wall
@@ -398,15 +357,14 @@ def test_a_data_set_holds_the_nominal_wall_and_the_true_one(tmp_path: Path) -> N
     assert nominal != true
     assert replace(case.cameras[0], wall=true) == data.true_cameras[0]
     before = sabench.score(data, "empty")
-    result = sabench.solve("refractive_autocal", data, tmp_path / "r.h5")
-    after = sabench.score(data, result.path)
+    after = sabench.score(data, sabench.solve("refractive_autocal", data, tmp_path / "r.h5").path)
     for name in ("wall_place_error_mm", "wall_tilt_error_deg"):
         assert 0.0 < after[name] < 0.05 * before[name]
     assert after["true_ratio"] == pytest.approx(1.0, abs=0.3)
 
 
 def test_solvers_of_lenses_decline_an_unknown_wall(tmp_path: Path) -> None:
-    scene = calibration_scene(calibration=ERRORS | {"known": KNOWN})
+    scene = calibration_cases.calibration_scene(calibration=ERRORS | {"known": KNOWN})
     data = sabench.generate(scene, tmp_path / "boards", seed=1, backend="splat")
     assert sabench.score(data, "truth")["bound_px"] > 0.0
     with refused("refractive_autocal_alternating"):
@@ -424,7 +382,7 @@ def test_solvers_of_lenses_decline_an_unknown_wall(tmp_path: Path) -> None:
 )
 def test_impossible_errors_are_a_sentence(changes: dict[str, Any], key: str) -> None:
     with refused(key):
-        calibration_scene(**changes)
+        calibration_cases.calibration_scene(**changes)
 
 
 @pytest.mark.slow
@@ -438,8 +396,7 @@ def test_a_folder_with_known_cameras_finds_its_wall(command: Command, tmp_path: 
     write_cameras(folder / "air.json", cameras)
     done = succeed(command("calibrate", "mine"))
     assert "tilt of the wall about X" in done.stdout
-    report = json.loads((folder / "result/report.json").read_text())
-    place = report["wall"][-1]
+    place = json.loads((folder / "result/report.json").read_text())["wall"][-1]
     assert place["name"] == "place of the wall"
     assert place["found"] == pytest.approx(4.0, abs=4.0 * place["std"])
     made = json.loads((folder / "result/cameras.json").read_text())["cameras"]

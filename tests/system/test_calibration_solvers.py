@@ -104,8 +104,7 @@ def test_classical_calibrations_need_planes_or_different_depths(name: str, blank
 
 @pytest.mark.slow
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
-    """The thesis's alternation stops before the least-squares solution. Its stop rule looks at a
-    change of 0.001 px."""
+    """The thesis's alternation stops at a change of 0.001 px, before least squares."""
     rough = {"points": 0.2, "center_mm": 30.0, "turn_deg": 3.0, "known": []}
     case, _, _, exact = case_of(calibration_scene(calibration=rough))
     errors = {}
@@ -153,8 +152,7 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) -> None:
-    """The fluid's index alone can be estimated of the wall, to some thousandths. Fixed parameters
-    stay exact."""
+    """Of the wall, only the fluid's index is estimated; fixed parameters stay exact."""
     own = {"indices": [2]}
     result = sabench.solve("refractive_autocal", boards, tmp_path / "r.h5", parameters=own)
     scores = sabench.score(boards, result.path)

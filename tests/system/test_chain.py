@@ -20,19 +20,15 @@ from sabench.simulation.in_memory import simulate, simulate_sequence
 from sabench.utils.files import sha256
 from tests.conftest import Command, pinholes
 from tests.helpers.commands import local_page, refuse, succeed
-
-
-def test_quick_data_set_is_whole_and_rendered(quick: Dataset) -> None:
-    assert verify(quick.root) == []
-    assert quick.manifest.renderer == "mitsuba"
-    case = quick.observation(0)
-    assert case.images.shape == (4, 240, 320)
-    assert case.images.dtype == np.uint16
+from tests.helpers.plug_ins import write_plug_in
 
 
 def test_pictures_show_the_particles_where_the_truth_says(quick: Dataset) -> None:
-    """Bright pixels lie at true positions, and dark ones everywhere else. Rendering, projection and
-    axes agree."""
+    """Rendering, projection and axes agree; the data set is intact and rendered."""
+    assert verify(quick.root) == []
+    assert quick.manifest.renderer == "mitsuba"
+    assert quick.observation(0).images.shape == (4, 240, 320)
+    assert quick.observation(0).images.dtype == np.uint16
     case = quick.observation(0)
     for image, view in zip(case.images, quick.views(0), strict=True):
         seen = view.pixel[view.visible > 0]
@@ -71,8 +67,7 @@ def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
         for one in scenes
     )
     for frame, shot in enumerate(simulate_sequence(scenes[1], seed=3)):
-        single = simulate(scenes[1], seed=3, frame=frame)
-        for one in (single.observation, many.observation(frame)):
+        for one in (simulate(scenes[1], seed=3, frame=frame).observation, many.observation(frame)):
             np.testing.assert_array_equal(shot.observation.images, one.images)
     for camera in few.setup.cameras:
         name = image_name(camera.name, 0, "tif")
@@ -88,8 +83,7 @@ def test_both_solvers_find_particles(quick: Dataset, quick_result: Path, tmp_pat
     assert multiplicative["precision"] > 0.3  # and weak ghosts pass the automatic threshold
     assert multiplicative["rms_px"] < 0.4
     sabench.solve("asa", quick, tmp_path / "asa.h5", parameters={"k": 12.0})
-    additive = sabench.score(quick, tmp_path / "asa.h5")
-    assert 0.5 < additive["q"] < multiplicative["q"]
+    assert 0.5 < sabench.score(quick, tmp_path / "asa.h5")["q"] < multiplicative["q"]
 
 
 @pytest.mark.slow
@@ -127,37 +121,22 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
     assert scores["peak_mb"] > 50
 
 
-BAD = '''"""Fails."""
-
-import os
-
-from sabench.api import Parameters, Solver
-
-
-class BadParameters(Parameters):
+BAD = """
+class Parameters(Parameters):
     die: bool = False
 
-
-class Bad(Solver):
-    """Raises <b>or</b> dies."""
-
-    name = "bad"
-    Parameters = BadParameters
-
-    def solve(self, case):
-        if self.parameters.die:
-            os.abort()
-        raise RuntimeError("no luck <script>")
-'''
+def solve(self, case):
+    if self.parameters.die:
+        os.abort()
+    raise RuntimeError("no luck <script>")
+"""
 
 
 @pytest.mark.slow
 def test_suite_makes_records_and_page_and_survives_a_failing_solver(
     own_process: Command, command: Command, tmp_path: Path
 ) -> None:
-    plugin = tmp_path / "mine" / "solvers" / "bad.py"
-    plugin.parent.mkdir(parents=True)
-    plugin.write_text(BAD)
+    write_plug_in(tmp_path / "mine", "solvers", "bad", BAD)
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nscenes = ["quick"]\nbackend = "splat"\n[[solvers]]\nname = "bad"\n'
         '[[solvers]]\nname = "bad"\nparameters = { die = true }\n'

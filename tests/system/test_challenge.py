@@ -1,10 +1,7 @@
 """A challenge from the secret to the scores, on this machine and as a server scores it."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -18,8 +15,8 @@ from sabench.apps.challenge.scoring import PARTICIPANT_COSTS, score_submission
 from sabench.evaluation.records import read_records
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json
-from tests.conftest import ROOT, Command
-from tests.helpers.commands import refuse, succeed
+from tests.conftest import Command
+from tests.helpers.commands import refuse, run_python, succeed
 from tests.helpers.refusals import refused
 
 SECRET = 'secret = "0123456789abcdef"\nseeds = 2\n'
@@ -102,26 +99,15 @@ def test_a_server_scores_exactly(organised: Path, submission: Path, tmp_path: Pa
     shutil.copytree(bundle / "reference_data", place / "ref")
     unzipped(submission, place / "res")
     shutil.copytree(bundle / "scoring_program", tmp_path / "server" / "program")
-    done = subprocess.run(
-        [sys.executable, "score.py", str(place), str(tmp_path / "server" / "output")],
-        cwd=tmp_path / "server" / "program",
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    words = ("score.py", place, tmp_path / "server" / "output")
+    succeed(run_python(*words, cwd=tmp_path / "server" / "program"))
     found = read_json(tmp_path / "server" / "output" / "scores.json")
     each = read_json(tmp_path / "server" / "output" / "scores_of_data_sets.json")
     own = {name: sabench.score(place / "ref" / name, place / "res" / f"{name}.h5") for name in each}
     for name, scores in each.items():
         assert scores == {key: one for key, one in own[name].items() if key in scores}
-        assert set(own[name]) - set(scores) <= {
-            *PARTICIPANT_COSTS,
-            "compile_s",
-            "isolated",
-            "whole_process",
-        }
+        left_out = {*PARTICIPANT_COSTS, "compile_s", "isolated", "whole_process"}
+        assert set(own[name]) - set(scores) <= left_out
     assert found["admitted"] == 1.0
     assert found["q"] == float(np.mean([one["q"] for one in own.values()]))
     assert not set(found) & set(PARTICIPANT_COSTS)

@@ -58,9 +58,7 @@ def check_outside(place: Path, data: Dataset) -> None:
     for planted in (Path("/dev/shm/planted"), Path("/tmp/planted"), Path("/usr/planted")):
         assert not planted.exists()
     assert not (Path(sabench.__file__).parent / "planted.py").exists()
-    assert not [
-        one for one in psutil.process_iter(["cmdline"]) if "4321" in (one.info["cmdline"] or ())
-    ]
+    assert not [p for p in psutil.process_iter(["cmdline"]) if "4321" in (p.info["cmdline"] or ())]
 
 
 def attempt(place: Path, port: int, kind: str) -> list[str]:
@@ -102,8 +100,7 @@ def test_without_confinement_tricks_work_and_the_result_says_so(
     assert {"read the truth", "read the seed", "read the secret", "look around"} <= set(gained)
     assert {"connect", "read command lines", "signal others"} <= set(gained)
     (place / "mark").unlink()  # what "write outside" has left
-    result = solve("msa", sabench.open_dataset(place / "set"), place / "r.h5")
-    assert result.isolated is False
+    assert solve("msa", sabench.open_dataset(place / "set"), place / "r.h5").isolated is False
 
 
 THIEF = """#!{python}

@@ -1,7 +1,5 @@
 """Compiled kernels: their time is a figure of its own, they are stored, and bounds are checked."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,44 +10,30 @@ from sabench.dataset.reader import Dataset
 from sabench.tasks.conformance import warm_up
 from sabench.tasks.solve_and_score import solve
 from sabench.utils.kernel_folder import kernel_folder
+from tests.helpers.commands import run_python
+from tests.helpers.plug_ins import write_solver
 from tests.helpers.refusals import refused
 
-PLUGIN = '''"""Compiles."""
-
+KERNEL = """
 import numba
-import numpy as np
-
-from sabench.api import Observation, Reconstruction, Solver
-
-
 @numba.njit
 def fill(volume):
     for z in range(volume.shape[0]):
         volume[z] = np.median(volume[z])
-
-
-class Compiler(Solver):
-    """Compiles a kernel, and hardly uses it."""
-
-    name = "compiler"
-
-    def solve(self, case: Observation) -> Reconstruction:
-        fill(np.zeros((2, 2, 2)))
-        return Reconstruction(np.zeros(case.grid.shape, dtype=np.float32))
-'''
+"""
+ZEROS = "return Reconstruction(np.zeros(case.grid.shape, dtype=np.float32))"
 
 
 @pytest.fixture
 def solvers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
-    (tmp_path / "solvers").mkdir()
-    return tmp_path / "solvers"
+    return tmp_path
 
 
 @pytest.mark.slow
 def test_compilation_is_no_work(quick: Dataset, tmp_path: Path, solvers: Path) -> None:
     """The kernel compiles for about a second in every run, since it has no cache."""
-    (solvers / "compiler.py").write_text(PLUGIN)
+    write_solver(solvers, "compiler", f"fill(np.zeros((2, 2, 2)))\n{ZEROS}", KERNEL)
     made = solve("compiler", quick, tmp_path / "r.h5")
     assert made.compile_s is not None
     assert made.seconds is not None
@@ -59,32 +43,18 @@ def test_compilation_is_no_work(quick: Dataset, tmp_path: Path, solvers: Path) -
     assert (figures["seconds"], figures["compile_s"]) == (made.seconds, made.compile_s)
 
 
-WAITING = '''"""Works, and waits."""
-
-import time
-
-import numpy as np
-
-from sabench.api import Observation, Reconstruction, Solver
-
-
-class Waiting(Solver):
-    """Works for half a second, and waits nine times as long."""
-
-    name = "waiting"
-
-    def solve(self, case: Observation) -> Reconstruction:
-        start = time.process_time()
-        while time.process_time() - start < 0.5:
-            np.sqrt(np.arange(1000.0))
-        time.sleep(4.5)
-        return Reconstruction(np.zeros(case.grid.shape, dtype=np.float32))
-'''
+WAITING = f"""
+start = time.process_time()
+while time.process_time() - start < 0.5:
+    np.sqrt(np.arange(1000.0))
+time.sleep(4.5)
+{ZEROS}
+"""
 
 
 @pytest.mark.slow
 def test_waits_are_no_work(quick: Dataset, tmp_path: Path, solvers: Path) -> None:
-    (solvers / "waiting.py").write_text(WAITING)
+    write_solver(solvers, "waiting", WAITING)
     made = solve("waiting", quick, tmp_path / "r.h5", threads=1)
     assert made.seconds is not None
     assert made.cpu_share is not None
@@ -125,12 +95,6 @@ fill(np.zeros(4), {count})
 def test_an_index_beyond_an_array_is_an_error(tmp_path: Path, count: int, code: int) -> None:
     script = tmp_path / "kernel.py"
     script.write_text(_KERNEL.format(count=count), encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env=checked_environment(tmp_path),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python(script, env=checked_environment(tmp_path))
     assert done.returncode == code
     assert ("IndexError" in done.stderr) == (code == 1)

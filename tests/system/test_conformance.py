@@ -1,6 +1,4 @@
-"""The laws of solvers and of scores. Every bundled solver obeys them, solvers that break one are
-caught, and an estimate that knows nothing of the observations, wherever it lies and whatever it
-leaves out, ranks no better than the worst possible one or is refused."""
+"""Laws of solvers and of scores: obeyed, broken, and by estimates that know nothing."""
 
 from pathlib import Path
 
@@ -8,15 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from sabench import plugins, tasks
-from sabench.api import (
-    CalibrationSolver,
-    Detections,
-    FoundParticles,
-    Reconstruction,
-    Solver,
-    Velocity,
-)
+from sabench import api, plugins, tasks
 from sabench.api.make import make_algorithm
 from sabench.api.solvers import TaskName
 from sabench.dataset.reader import Dataset
@@ -73,11 +63,11 @@ def shot() -> Shot:
 
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize(
-    "name", [one for one in SOLVERS if issubclass(plugins.load("solvers", one), Solver)]
+    "name", [one for one in SOLVERS if issubclass(plugins.load("solvers", one), api.Solver)]
 )
 def test_reconstruction_solvers_find_particles_that_are_far_apart(name: str, shot: Shot) -> None:
     found = make_algorithm(name, {}).solve(shot.observation)  # type: ignore[arg-type]
-    assert isinstance(found, Reconstruction)
+    assert isinstance(found, api.Reconstruction)
     assert found.volume.min() >= 0.0
     scores = score_frame(shot.observation.grid, shot.particles, shot.views, found)
     # whole-pixel shifts are made for cameras on one plane in air: behind glass they find less
@@ -146,9 +136,6 @@ def test_the_command_ends_with_1_for_a_broken_law(
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", tasks.NAMES)
 def test_the_best_and_the_worst_possible_scores(name: str, examples: Path) -> None:
-    """The truth has the best score. An estimate with a known error is worse, and an empty one is
-    worse still."""
-    from sabench.dataset.results import open_result, result_writer
 
     task = tasks.of(name)
     data: Dataset = example(task, task.shown, examples)
@@ -170,17 +157,17 @@ def test_no_task_is_without_an_example() -> None:
 
 def test_estimates_name_their_wrong_arrays() -> None:
     with refused("trajectory"):
-        FoundParticles(np.zeros((2, 3)), None, np.array([4, 4]))
+        api.FoundParticles(np.zeros((2, 3)), None, np.array([4, 4]))
     with refused("semi_axes_mm"):
-        Detections(np.zeros((2, 3)), np.ones((3, 3)), np.tile(np.eye(3), (2, 1, 1)))
-    field = Velocity(
+        api.Detections(np.zeros((2, 3)), np.ones((3, 3)), np.tile(np.eye(3), (2, 1, 1)))
+    field = api.Velocity(
         (0.0,) * 3, (1.0,) * 3, np.full((2, 3, 4, 3), np.nan), np.ones((2, 3, 4), bool)
     )
     with refused("velocity_mm_s"):
         field.check()
     with refused("volume"):
-        Reconstruction(np.zeros((4, 3, 2), np.float32)).check(z=2, y=3, x=4)
-    assert CalibrationSolver.task == "calibration"
+        api.Reconstruction(np.zeros((4, 3, 2), np.float32)).check(z=2, y=3, x=4)
+    assert api.CalibrationSolver.task == "calibration"
 
 
 SHOWN = [(name, tasks.of(name).shown) for name in tasks.NAMES]
@@ -192,11 +179,6 @@ CASES = [
 ROUNDING = 1e-9
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("examples")
-
-
 def rank_after(own: tuple[bool, float], other: tuple[bool, float]) -> bool:
     return own[0] > other[0] or (own[0] == other[0] and own[1] >= other[1] - ROUNDING)
 
@@ -204,12 +186,12 @@ def rank_after(own: tuple[bool, float], other: tuple[bool, float]) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "sees"), CASES)
 def test_who_knows_nothing_ranks_no_better_than_nothing(
-    name: str, sees: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, sees: str, examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # what is drawn counts here, not where panels lie, which takes half of the time of a figure
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
     task = tasks.of(name)
-    data = example(task, sees, folder)
+    data = example(task, sees, examples)
     worst = task.rank(task.score(data, "empty"))
     out, better = tmp_path / "nothing.h5", []
     for trial in know_nothing.try_all(task, data, out):
@@ -236,10 +218,10 @@ def test_who_knows_nothing_ranks_no_better_than_nothing(
     [("see_through", "reconstruction"), ("bubbles", "reconstruction"), ("particles", "bubbles")],
 )
 def test_a_result_of_a_task_that_the_data_set_cannot_serve_is_named(
-    name: TaskName, shown: str, folder: Path, tmp_path: Path
+    name: TaskName, shown: str, examples: Path, tmp_path: Path
 ) -> None:
     task = tasks.of(shown)
-    data: Dataset = example(task, task.shown, folder)
+    data: Dataset = example(task, task.shown, examples)
     out = tmp_path / "result.h5"
     with result_writer(out, data, "nobody", name, {}) as writer:
         writer.add(task.empty(data, 0), 0)

@@ -1,10 +1,7 @@
 """Copies of data sets: of other processors, and of the observation side alone."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -29,8 +26,8 @@ from sabench.tasks.conformance import example
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
-from tests.conftest import ROOT, Command
-from tests.helpers.commands import refuse, succeed
+from tests.conftest import Command
+from tests.helpers.commands import refuse, run_python, succeed
 from tests.helpers.refusals import refused
 from tests.helpers.untrusted import reseal
 from tests.system.test_conformance import ONE_OF_EACH
@@ -41,8 +38,7 @@ Change = Callable[[Path], None]
 
 @pytest.fixture(scope="module")
 def here(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    folder = tmp_path_factory.mktemp("here")
-    return generate("quick", folder / "a", seed=1, backend="splat")
+    return generate("quick", tmp_path_factory.mktemp("here") / "a", seed=1, backend="splat")
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +53,8 @@ def there(here: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _generate_there(out: Path, cache: Path) -> None:
-    words = ["generate", "quick", "-o", str(out), "--seed", "1", "--backend", "splat"]
-    done = subprocess.run(
-        [sys.executable, "-m", "sabench", *words],
-        env={**os.environ, **_LIMITS, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    words = ["-m", "sabench", "generate", "quick", "-o", out, "--seed", 1, "--backend", "splat"]
+    succeed(run_python(*words, env={**_LIMITS, "NUMBA_CACHE_DIR": str(cache)}))
 
 
 @pytest.mark.slow
@@ -121,8 +110,7 @@ def _darken(root: Path) -> None:
 
 def _scale_light(root: Path) -> None:
     path = root / "images" / "frame_0000" / "camera_02.exr"
-    radiance = open_dataset(root).radiance(0)[2]
-    write_exr(path, radiance * np.float32(1.01))
+    write_exr(path, open_dataset(root).radiance(0)[2] * np.float32(1.01))
 
 
 def _turn_a_camera(root: Path) -> None:

@@ -118,8 +118,7 @@ def test_the_rig_is_lines_through_the_volume(moving: Dataset, tmp_path: Path) ->
     lengths = np.linalg.norm(volume[:, 1] - volume[:, 0], axis=1)
     np.testing.assert_allclose(np.sort(lengths), np.sort(np.repeat(high - low, 4)), rtol=1e-5)
     for number, one in enumerate(moving.setup.cameras):
-        away = np.linalg.norm(edges[camera == number] - one.center_mm, axis=2)
-        assert away.min() < 1e-3
+        assert np.linalg.norm(edges[camera == number] - one.center_mm, axis=2).min() < 1e-3
         seen, _ = one.project(edges[camera == number][:, 1])
         inner = (np.abs(seen - [one.columns / 2, one.rows / 2]) < [one.columns, one.rows]).all(
             axis=1
@@ -129,8 +128,7 @@ def test_the_rig_is_lines_through_the_volume(moving: Dataset, tmp_path: Path) ->
 
 def test_missed_particles_are_those_that_no_found_one_is(moving: Dataset, tmp_path: Path) -> None:
     true = moving.particles(0)
-    found = FoundParticles(true.position_mm[10:])
-    vtkhdf._write_particles(tmp_path, moving, 0, found)
+    vtkhdf._write_particles(tmp_path, moving, 0, FoundParticles(true.position_mm[10:]))
     cloud, about = opened(tmp_path / "missed_0000.vtkhdf")
     grid = moving.setup.grid
     scored = grid.in_scored(grid.to_voxels(true.position_mm[:10]))
@@ -139,13 +137,10 @@ def test_missed_particles_are_those_that_no_found_one_is(moving: Dataset, tmp_pa
 
 
 def test_a_planar_result_lies_in_its_plane_in_vtk(moving: Dataset, tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
     axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
     shape = (1, 4, 5)
-    plane = rng.random((*shape, 2)) @ axes
-    field = Velocity(
-        (-1.0, -1.0, 0.5), (0.5, 0.25, 1.0), plane, np.ones(shape, dtype=np.bool_), axes
-    )
+    plane = np.random.default_rng(0).random((*shape, 2)) @ axes
+    field = Velocity((-1.0, -1.0, 0.5), (0.5, 0.25, 1.0), plane, np.ones(shape, bool), axes)
     with result_writer(tmp_path / "piv.h5", moving, "piv2d", "velocimetry", {}) as writer:
         writer.add(field, 0)
     again = open_result(tmp_path / "piv.h5", moving).read(Velocity, 0)
@@ -161,7 +156,6 @@ def test_a_planar_result_lies_in_its_plane_in_vtk(moving: Dataset, tmp_path: Pat
 
 
 def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Path) -> None:
-    """`from_field` of one run reads the export of another."""
     export(moving, tmp_path / "vtk")
     plugin = load("generators", "from_field")
     given = {"file": str(tmp_path / "vtk/flow_0000.vtkhdf"), "velocity": ["velocity_mm_s"]}
@@ -177,20 +171,13 @@ def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Pat
 
 def tiny(**changes: Any) -> Scene:
     """A quick one: exports do not look at images."""
-    cameras = few_pixels(24, 30, 0.09)
-    return small(cameras=cameras, render={"relative_error": 0.2}, **changes)
+    return small(cameras=few_pixels(24, 30, 0.09), render={"relative_error": 0.2}, **changes)
 
 
 @pytest.fixture(scope="module")
 def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    field = {
-        "generator": "bubble_field",
-        "count": 20,
-        "radius_mm": 0.8,
-        "aspect_range": [0.4, 0.7],
-        "tilt_deg": 30.0,
-        "velocity_mm_s": [0.0, -2.0, 0.0],
-    }
+    field = {"generator": "bubble_field", "count": 20, "radius_mm": 0.8, "tilt_deg": 30.0}
+    field |= {"aspect_range": [0.4, 0.7], "velocity_mm_s": [0.0, -2.0, 0.0]}
     foil = {"generator": "hydrofoil", "points": 8, "chord_mm": 4.0, "span_mm": 3.0}
     tube = {"generator": "cylinder", "sections": 8, "radius_mm": 1.0, "length_mm": 2.0}
     bodies = [foil | {"place_mm": [0.0, 0.0, 80.0]}, tube | {"place_mm": [0.0, 0.0, 90.0]}]
@@ -200,8 +187,7 @@ def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.mark.slow
 def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) -> None:
-    """Exported bodies have the true shapes and positions. Balls that VTK's tensor glyphs deform are
-    the true ellipsoids, and the triangles of every body are in their true positions."""
+    """Balls that VTK's tensor glyphs deform are the true ellipsoids."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersCore import vtkTensorGlyph
     from vtkmodules.vtkFiltersSources import vtkSphereSource

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -27,7 +26,8 @@ from sabench.dataset.verification import verify
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
 from tests.conftest import ROOT, Command
-from tests.helpers.commands import refuse
+from tests.helpers.commands import limit_files, local_records, refuse
+from tests.helpers.plug_ins import write_solver
 from tests.helpers.refusals import refused
 from tests.helpers.untrusted import reseal
 
@@ -206,15 +206,9 @@ def test_bad_command_lines(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["typo.toml"]
 
 
-def limit_files() -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-
-
 @pytest.mark.slow
 def test_a_disk_that_takes_no_more(quick: Dataset, own_process: Command, tmp_path: Path) -> None:
-    """A limit on the size of files stands in for a full disk. Writes fail in the middle with the
-    system's error."""
+    """A limit on the size of files stands in for it: writes fail with the system's error."""
     for words in (
         ("generate", "quick", "-o", "full.h5", "--backend", "splat"),
         ("solve", "msa", quick.root, "-o", "full.h5", "-p", "k=0"),
@@ -306,32 +300,13 @@ def test_ctrl_c_within_a_destructor_is_not_lost(tmp_path: Path) -> None:
     assert done.stderr.startswith(b"sabench: interrupted")
 
 
-SLEEPER = '''"""Sleeps."""
-
-import sys
-import time
-
-from sabench.api import Observation, Reconstruction, Solver
-
-
-class Sleeper(Solver):
-    """Says that it began, and sleeps."""
-
-    name = "sleeper"
-
-    def solve(self, case: Observation) -> Reconstruction:
-        print("began", file=sys.stderr, flush=True)
-        time.sleep(60.0)
-        raise RuntimeError("woken")
-'''
+SLEEP = 'print("began", file=sys.stderr, flush=True)\ntime.sleep(60.0)'
 
 
 @pytest.mark.slow
 def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
     """The interrupt goes to the command and to the solver's process. As it does from a terminal."""
-    plugin = tmp_path / "mine" / "solvers" / "sleeper.py"
-    plugin.parent.mkdir(parents=True)
-    plugin.write_text(SLEEPER)
+    write_solver(tmp_path / "mine", "sleeper", SLEEP)
     (tmp_path / "s.toml").write_text(
         'title = "t"\nscenes = ["quick"]\nbackend = "splat"\n'
         'solvers = [{ name = "msa" }, { name = "sleeper" }]\n'
@@ -348,11 +323,7 @@ def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
     assert process.returncode == 2, errors
     assert b"Traceback" not in errors
     assert errors.count(b"sabench: interrupted") == 1
-    records = [
-        json.loads(line)
-        for line in (tmp_path / "leaderboard/records/local.jsonl").read_text().splitlines()
-    ]
-    assert [record["solver"] for record in records] == ["msa"]
+    assert [record["solver"] for record in local_records(tmp_path)] == ["msa"]
     assert not list(tmp_path.rglob("*.partial-*"))
 
 
@@ -369,8 +340,7 @@ def write_for_ever(path: Path, written: list[str]) -> None:
 
 
 def test_ctrl_c_inside_hdf5_is_not_lost(tmp_path: Path) -> None:
-    """The interrupt comes while HDF5 calls back into Python. It must arrive once, after the
-    write."""
+    """The interrupt comes while HDF5 calls back into Python; it arrives after the write."""
     written: list[str] = []
     with pytest.raises(KeyboardInterrupt):
         write_for_ever(tmp_path / "a.h5", written)
@@ -413,23 +383,6 @@ busy = "{BUSY}"
 child = subprocess.Popen([sys.executable, "-c", busy])
 exec(busy)
 """
-PLUGIN = '''"""A solver that does not end."""
-
-from pathlib import Path
-
-from sabench.api import Solver
-
-
-class Endless(Solver):
-    """It computes for ever."""
-
-    name = "endless"
-    references = ("nobody",)
-
-    def solve(self, case):
-        while True:
-            pass
-'''
 SUITE = """title = "t"
 backend = "splat"
 solvers = [{ SOLVER }]
@@ -449,8 +402,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
     program = tmp_path / "endless_program"
     program.write_text(PROGRAM)
     program.chmod(0o755)
-    (tmp_path / "mine" / "solvers").mkdir(parents=True)
-    (tmp_path / "mine" / "solvers" / "endless.py").write_text(PLUGIN)
+    write_solver(tmp_path / "mine", "endless", BUSY)
     words = 'name = "./endless_program", task = "reconstruction"'
     (tmp_path / "program.toml").write_text(SUITE.replace("SOLVER", words))
     (tmp_path / "plugin.toml").write_text(SUITE.replace("SOLVER", 'name = "endless"'))
@@ -534,9 +486,7 @@ def child_works(pid: int) -> bool:
     """A process below the server of child processes computes."""
     with contextlib.suppress(psutil.Error):
         servers = psutil.Process(pid).children()
-        return any(
-            cpu_s(one) > _BUSY_S for server in servers for one in server.children(recursive=True)
-        )
+        return any(cpu_s(one) > _BUSY_S for s in servers for one in s.children(recursive=True))
     return False
 
 

@@ -1,5 +1,4 @@
-"""A gate as users run it, from the command line and as a fixture of pytest. It prints nothing where
-nothing has changed, and the figure where one has."""
+"""A gate as users run it, from the command line and as a fixture of pytest."""
 
 import json
 import sys
@@ -16,6 +15,7 @@ import scipy.spatial  # noqa: F401
 
 from tests.conftest import ROOT, Command
 from tests.helpers.commands import refuse, succeed
+from tests.helpers.plug_ins import write_solver
 
 pytest_plugins = "pytester"
 
@@ -29,40 +29,29 @@ solvers = [{ name = "dimmest" }]
 "volume.size_mm" = [7.0, 5.0, 2.0]
 "particles.count" = 25
 """
-SOLVER = '''"""The dimmest camera."""
-
-from sabench.api import Reconstruction, Solver
+HEAD = """
 from sabench.images.levels import normalise
 from sabench.algorithms.refocus import refocus_log2
-
-
-class Dimmest(Solver):
-    """A product of all cameras, less what is dark."""
-
-    name = "dimmest"
-    references = ("nobody",)
-
-    def solve(self, case):
-        images = normalise(case.images, case.black_dn)
-        volume = refocus_log2(images, case.cameras, case.grid, 0.01, outside=0.01)
-        volume[volume < -8.0] = -100.0
-        return Reconstruction(2.0 ** volume)
-'''
-PLANTED = SOLVER.replace("case.cameras, case.grid", "case.cameras[::-1], case.grid")
+"""
+SOLVE = """
+images = normalise(case.images, case.black_dn)
+volume = refocus_log2(images, case.cameras, case.grid, 0.01, outside=0.01)
+volume[volume < -8.0] = -100.0
+return Reconstruction(2.0 ** volume)
+"""
+PLANTED = SOLVE.replace("case.cameras, case.grid", "case.cameras[::-1], case.grid")
 
 
 @pytest.fixture
 def algorithms(tmp_path: Path) -> Path:
     """A folder with a plug-in of somebody else and a suite."""
-    (tmp_path / "mine" / "solvers").mkdir(parents=True)
-    (tmp_path / "mine" / "solvers" / "dimmest.py").write_text(SOLVER)
+    write_solver(tmp_path / "mine", "dimmest", SOLVE, HEAD)
     (tmp_path / "tiny.toml").write_text(SUITE)
     return tmp_path
 
 
 def plant(folder: Path) -> None:
-    file = folder / "mine" / "solvers" / "dimmest.py"
-    file.write_text(PLANTED)
+    write_solver(folder / "mine", "dimmest", PLANTED, HEAD)
     sys.modules.pop("sabench.plugins.solvers.dimmest", None)
 
 

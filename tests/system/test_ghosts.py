@@ -70,8 +70,7 @@ def observe(cameras: tuple[CameraModel, ...], grid: Grid, points: F64) -> Observ
         pixels, _ = camera.project(points)
         squares = [(column - c) ** 2 + (row - r) ** 2 for c, r in pixels]
         images.append(sum(20000.0 * np.exp(-own / (2.0 * 0.85**2)) for own in squares))
-    grey = np.rint(images).astype(np.uint16)
-    return Observation(grey, cameras, grid, 0.0, 65535.0)
+    return Observation(np.rint(images).astype(np.uint16), cameras, grid, 0.0, 65535.0)
 
 
 A, B = np.array([[-0.25, 0.0, 0.15]]), np.array([[0.25, 0.0, -0.05]])
@@ -172,8 +171,7 @@ def test_frames_are_grouped_in_order(shots: list[Shot]) -> None:
 @pytest.mark.slow
 def test_pairs_reach_the_solver_through_both_tasks(tmp_path: Any) -> None:
     data: Dataset = generate(dense(2), tmp_path / "data", seed=7, backend="splat")
-    own = {"repeats": 1, "iterations": 4}
-    solve("mte_mart", data, tmp_path / "volumes.h5", parameters=own)
+    solve("mte_mart", data, tmp_path / "volumes.h5", parameters={"repeats": 1, "iterations": 4})
     assert score(data, tmp_path / "volumes.h5")["q"] > 0.7
     windows = {"window": (24, 24, 12), "reconstruction": "mte_mart"}
     solve("piv3d", data, tmp_path / "field.h5", parameters=windows)

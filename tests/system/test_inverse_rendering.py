@@ -83,8 +83,7 @@ def test_projects_as_cameras_do(name: str) -> None:
 
 
 def shapes_of(change: float) -> F64:
-    """Widths that grow along x, shrink along y and do not change along z. If they change, images of
-    two cameras are tilted, and of two are flat."""
+    """Widths that grow along x and shrink along y; if so, images are tilted and flat, too."""
     rates = change * np.array([0.1, -0.2, 0.0])
     shapes = np.tile([[one, *(one * rates)] for one in (*SIGMA, 0.0, 0.0)], (4, 1, 1))
     shapes[1:3, 2] = change * np.array([0.1, -0.02, 0.01, 0.03])
@@ -137,9 +136,7 @@ def painted(position: F64, logs: F64, change: float) -> F64:
     for camera, shift, shapes, log in zip(CAMERAS, SHIFTS, shapes_of(change), logs.T, strict=True):
         pixels = camera.project(position)[0] + shift
         *sigma, tilt, flat = shapes @ terms.T
-        x, y = (
-            _derivatives(pixels[:, k], sigma[k], count) for k, count in ((0, COLUMNS), (1, ROWS))
-        )
+        x, y = (_derivatives(pixels[:, k], sigma[k], n) for k, n in ((0, COLUMNS), (1, ROWS)))
         flat = np.clip(flat, 0.0, MOST_FLAT)
         across, down = sigma[0] ** 2, sigma[1] ** 2
         factors = {(0, 0): np.ones(COUNT), (1, 1): tilt, (3, 0): -flat * across**2}
@@ -251,8 +248,7 @@ def test_cameras_that_cannot_be_rendered_are_skipped() -> None:
     assert isinstance(first, Camera)
     cylinder = CylinderWall((0.0, 0.0, 60.0), (0.0, 1.0, 0.0), 60.0, 1.0, (GLASS,), 1.33)
     points = np.random.default_rng(1).uniform([-2.0, -2.0, 18.0], [2.0, 2.0, 22.0], (20, 3))
-    pixels = first.project(points)[0]
-    linear = fit_projective("flat", first.rows, first.columns, points, pixels)
+    linear = fit_projective("flat", first.rows, first.columns, points, first.project(points)[0])
     check_sentence(reason(case, replace(first, wall=cylinder), 4) or "", first.name)
     check_sentence(reason(case, linear, 4) or "", "flat")
     check_sentence(reason(case, None, 2) or "")

@@ -1,13 +1,10 @@
 """Scores without the packages of the extra `full`: no renderer, no figures."""
 
 import json
-import os
 import re
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,6 +12,7 @@ import sabench
 from sabench.dataset.reader import Dataset
 from sabench.utils.installed import FULL
 from tests.conftest import ROOT
+from tests.helpers.commands import run_python, succeed
 
 SCRIPT = """
 import sys
@@ -37,20 +35,7 @@ MODULES = {
 
 
 def call(*words: str) -> subprocess.CompletedProcess[str]:
-    script = SCRIPT.format(missing=set(FULL), words=words)
-    return subprocess.run(
-        [sys.executable, "-c", script],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-def scores_of_both(dataset: Dataset, result: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    done = call("score", str(dataset.root), str(result), "--json")
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout), sabench.score(dataset, result)
+    return run_python("-c", SCRIPT.format(missing=set(FULL), words=words))
 
 
 def test_the_missing_modules_are_those_of_the_extra() -> None:
@@ -69,8 +54,8 @@ def test_scores_are_those_with_all_packages(
 ) -> None:
     if solver is not None:
         quick_result = sabench.solve(solver, quick, tmp_path / "result.h5").path
-    found, expected = scores_of_both(quick, quick_result)
-    assert found == expected
+    done = succeed(call("score", str(quick.root), str(quick_result), "--json"))
+    assert json.loads(done.stdout) == sabench.score(quick, quick_result)
 
 
 @pytest.mark.slow

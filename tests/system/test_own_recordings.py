@@ -105,8 +105,7 @@ def test_export_needs_no_truth(original: Dataset, pngs: Path, tmp_path: Path) ->
     for solver in ("ray_triangulation", "msa", "piv3d"):
         out = tmp_path / f"{solver}.h5"
         sabench.solve(solver, tank, out)
-        made = sabench.export(tank, tmp_path / solver, out)
-        assert any(made.iterdir())
+        assert any(sabench.export(tank, tmp_path / solver, out).iterdir())
     with refused("tank"):
         sabench.export(tank, tmp_path / "truth")
 
@@ -141,8 +140,7 @@ def models(cameras: tuple[CameraModel, ...], points: Any) -> list[CameraModel]:
 def test_cameras_of_any_model(original: Dataset, pngs: Path, tmp_path: Path) -> None:
     grid = original.setup.grid
     middle = np.asarray(grid.low_mm) + 0.5 * np.asarray(grid.voxel_mm) * grid.shape[::-1]
-    points = middle + 1.2 * (lattice_of(grid, 7) - middle)
-    other = models(original.setup.cameras, points)
+    other = models(original.setup.cameras, middle + 1.2 * (lattice_of(grid, 7) - middle))
     write_cameras(tmp_path / "cameras.json", other)
     source = read_camera_source(tmp_path / "cameras.json")
     assert list(source.cameras) == other
@@ -160,12 +158,8 @@ def test_cameras_of_any_model(original: Dataset, pngs: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     "change",
     [
-        {"model": "fisheye"},
-        {"matrix": [[1.0, 0.0, 0.0]] * 3},
-        {"matrix": [[0.0] * 4] * 3},
-        {"rows": 0},
-        {"scale": 2.0},
-        {"name": "a b"},
+        *({"model": "fisheye"}, {"matrix": [[1.0, 0.0, 0.0]] * 3}, {"matrix": [[0.0] * 4] * 3}),
+        *({"rows": 0}, {"scale": 2.0}, {"name": "a b"}),
     ],
 )
 def test_broken_cameras(change: dict[str, Any], tmp_path: Path) -> None:
@@ -180,7 +174,6 @@ def test_broken_cameras(change: dict[str, Any], tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_masks_and_smaller_sensors(original: Dataset, tmp_path: Path) -> None:
-    """One camera's images are smaller, another one's are masked."""
     masks = tmp_path / "masks"
     masks.mkdir()
     rows, columns = original.setup.cameras[0].rows, original.setup.cameras[0].columns
@@ -229,8 +222,7 @@ def test_import_refuses(
 
 def test_missing_images(original: Dataset, tmp_path: Path) -> None:
     folder = write_stacks(original, tmp_path / "stacks")
-    stack = stack_of(original, 3)[:2]
-    tifffile.imwrite(folder / "camera_03.tif", stack, photometric="minisblack")
+    tifffile.imwrite(folder / "camera_03.tif", stack_of(original, 3)[:2], photometric="minisblack")
     with refused("camera_00", "camera_03"):
         import_like(original, folder, tmp_path / "tank")
     tank = import_like(original, folder, tmp_path / "short", frames=slice(0, 2))
@@ -394,8 +386,7 @@ def test_without_truth(data: Dataset, known_result: Path, tmp_path: Path, comman
     words = ("quality", "tank", "r.h5", "--no-again")
     done = succeed(command(*words, "-o", "q", "--frames", 2, "--json"))
     figures = json.loads(done.stdout)["figures"]
-    expected = quality(data, known_result, frames=2, solve_again=False).figures
-    for key, value in expected.items():
+    for key, value in quality(data, known_result, frames=2, solve_again=False).figures.items():
         assert figures[key] == (None if value is None else pytest.approx(value, rel=1e-6)), key
     names = {path.name for path in (tmp_path / "q").iterdir()}
     assert names == {"quality.json", "residuals.png"}

@@ -14,13 +14,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from sabench import plugins
-from sabench.algorithms.particles import (
-    BayesianIprSettings,
-    ShakeTheBoxSettings,
-    fit_cameras,
-    shake_the_box,
-    track_particles,
-)
+from sabench.algorithms import particles
 from sabench.algorithms.particles.bayesian_ipr import Known, search_frame
 from sabench.api import FoundParticles, ImageSequence, Observation, ParticleSolver
 from sabench.api.make import make_algorithm
@@ -48,8 +42,7 @@ SOLVERS = [  # ddpiv takes three parallel pinholes alone
 
 @pytest.fixture(scope="module")
 def shot() -> Shot:
-    """Four cameras in water behind glass, with particles far apart. The sides are unequal
-    everywhere."""
+    """Four cameras in water behind glass; the sides are unequal everywhere."""
     values = load_scene("quick").to_dict()
     values["volume"]["size_mm"] = [9.0, 6.0, 3.0]
     values["particles"]["count"] = 60
@@ -78,8 +71,7 @@ def ready(name: str, case: ImageSequence) -> ParticleSolver:
 @pytest.mark.parametrize("name", SOLVERS)
 def test_an_image_sequence_is_tracked(name: str, sequence: Dataset, tmp_path: Path) -> None:
     ready(name, ImageSequence.of([sequence.observation(0)]))
-    result = solve(name, sequence, tmp_path / "r.h5")
-    assert result.task == "particles"
+    assert solve(name, sequence, tmp_path / "r.h5").task == "particles"
     scores = score(sequence, tmp_path / "r.h5")
     assert scores["precision"] > 0.85
     assert scores["recall"] > 0.75
@@ -100,8 +92,7 @@ def test_particles_are_scored_where_the_task_is_asked_for(sequence: Dataset) -> 
 
 
 def test_known_faults_have_known_scores(sequence: Dataset, tmp_path: Path) -> None:
-    """Scores of a known fault. Every fourth particle is left out, all others lie 0.03 mm aside
-    along X, and each has a ghost far away. The result has no trajectories."""
+    """Every fourth particle is missing, others are 0.03 mm aside along X, each has a ghost."""
     shift = np.array([0.03, 0.0, 0.0])
     with result_writer(tmp_path / "r.h5", sequence, "faulty", "particles", {}) as writer:
         for frame in range(sequence.setup.frames):
@@ -190,8 +181,7 @@ def test_a_solver_may_yield_frames_one_after_the_other(
             written.append(frame)
 
         monkeypatch.setattr(writer, "add", note)
-        seconds = TASK.run(made, "stream", sequence, writer)
-        writer.set_cost(float(np.mean(seconds)), None)
+        writer.set_cost(float(np.mean(TASK.run(made, "stream", sequence, writer))), None)
     result = open_result(tmp_path / "r.h5", sequence)
     numbers = [np.asarray(result.read(FoundParticles, n).trajectory).tolist() for n in range(6)]
     assert numbers == [[0, 1], [2, 1]] * 3
@@ -242,7 +232,6 @@ def make_shots(per_pixel: float = 0.06, frames: int = 6, small: bool = False) ->
 
 
 def cases_of(shots: Sequence[Shot], *dark: int) -> list[Observation]:
-    """The images of shots, of which some are black."""
     cases = [shot.observation for shot in shots]
     for number in dark:
         cases[number] = replace(cases[number], images=np.full_like(cases[number].images, 64))
@@ -251,8 +240,10 @@ def cases_of(shots: Sequence[Shot], *dark: int) -> list[Observation]:
 
 def follow(cases: Sequence[Observation]) -> list[FoundParticles]:
     times = [0.01 * number for number in range(len(cases))]
-    settings = ShakeTheBoxSettings(BayesianIprSettings())
-    return list(track_particles(iter(cases), times, fit_cameras(cases[0]), settings))
+    settings = particles.ShakeTheBoxSettings(particles.BayesianIprSettings())
+    return list(
+        particles.track_particles(iter(cases), times, particles.fit_cameras(cases[0]), settings)
+    )
 
 
 def joined(shots: Sequence[Shot], found: Sequence[FoundParticles]) -> float:
@@ -318,8 +309,7 @@ def test_a_camera_whose_image_is_another_frames_is_left_out_there() -> None:
     cases[1] = replace(cases[1], images=images)
     with pytest.warns(UserWarning, match=cases[1].cameras[-1].name):
         found = follow(cases[:3])
-    counts = count_found(shots[1], found[1])
-    assert counts.recall > 0.9
+    assert count_found(shots[1], found[1]).recall > 0.9
 
 
 NEAR_MM = 0.025  # half a pixel
@@ -328,12 +318,12 @@ NEAR_MM = 0.025  # half a pixel
 @pytest.mark.slow
 def test_known_particles_help_to_find_the_others() -> None:
     (shot,) = make_shots(0.26, 1, small=True)
-    truth, maps = shot.particles.position_mm, fit_cameras(shot.observation)
+    truth, maps = shot.particles.position_mm, particles.fit_cameras(shot.observation)
     given = np.random.default_rng(8).random(len(truth)) < 0.5
     light = np.zeros((int(given.sum()), 4))  # not known
     known = Known(truth[given], light)
-    alone = search_frame(shot.observation, maps, BayesianIprSettings())
-    together = search_frame(shot.observation, maps, BayesianIprSettings(), known)
+    alone = search_frame(shot.observation, maps, particles.BayesianIprSettings())
+    together = search_frame(shot.observation, maps, particles.BayesianIprSettings(), known)
     assert alone is not None
     assert together is not None
     others = truth[~given]
@@ -351,7 +341,7 @@ def test_held_frames_come_in_order(frames: int, monkeypatch: pytest.MonkeyPatch)
     """Of any number of frames, each comes once, and easy images give the same particles."""
     shots = make_shots(0.03, frames, small=True)
     usual = follow(cases_of(shots))
-    monkeypatch.setattr(shake_the_box, "are_mostly_wrong", lambda *_: True)
+    monkeypatch.setattr(particles.shake_the_box, "are_mostly_wrong", lambda *_: True)
     held = follow(cases_of(shots))
     assert len(held) == frames
     for shot, one, other in zip(shots, usual, held, strict=True):
@@ -446,8 +436,7 @@ def scores_of(recording: Dataset, place: Path, claim: Claim) -> dict[str, Any]:
     setup = recording.setup
     with result_writer(place, recording, "made", "particles", {}) as writer:
         for frame in range(setup.frames):
-            first = frame - frame % setup.pulses
-            time = setup.time_s(frame) - setup.time_s(first)
+            time = setup.time_s(frame) - setup.time_s(frame - frame % setup.pulses)
             writer.add(claim(recording.particles(frame), time), frame)
     return score(recording, place)
 

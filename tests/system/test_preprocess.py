@@ -48,8 +48,7 @@ def test_steps_are_shown_with_their_peaks(command: Command, data: Dataset, tmp_p
 
 
 def test_peaks_are_those_of_the_particles(command: Command, data: Dataset) -> None:
-    name = data.setup.cameras[1].name
-    by_name = stages(command, data.root, "--camera", name, "--frame", 1)
+    by_name = stages(command, data.root, "--camera", data.setup.cameras[1].name, "--frame", 1)
     assert by_name == stages(command, data.root, "--camera", 1, "--frame", 1)
     visible = int(data.views(1)[1].visible.sum())
     assert by_name[0]["black"] == pytest.approx(data.setup.sensor.black_dn, abs=1.5)
@@ -117,14 +116,12 @@ def folder(busy: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def figures(command: Command, *arguments: object) -> dict[str, Any]:
-    done = succeed(command("compare-statistics", *arguments, "--json"))
-    return dict(json.loads(done.stdout))
+    return dict(json.loads(succeed(command("compare-statistics", *arguments, "--json")).stdout))
 
 
 @pytest.mark.slow
 def test_equal_images_have_equal_figures(busy: Dataset, folder: Path, command: Command) -> None:
-    white = busy.setup.sensor.white_dn
-    both = figures(command, busy.root, folder, "--white", white)
+    both = figures(command, busy.root, folder, "--white", busy.setup.sensor.white_dn)
     own, other = both["dataset"], both["recording"]
     assert own["cameras"] == other["cameras"]
     assert own["ratio_matched_by"] == "true positions"
@@ -151,8 +148,7 @@ def test_the_ratio_of_fluxes_is_that_of_the_truth(busy: Dataset) -> None:
     logs = np.log(photons)
     ratios = [logs[i] - logs[j] for i in range(len(logs)) for j in range(i)]
     true = np.concatenate([one - np.nanmedian(one) for one in ratios])
-    robust = 1.4826 * np.nanmedian(np.abs(true))
-    assert found["ln_ratio_robust"] == pytest.approx(robust, rel=0.2)
+    assert found["ln_ratio_robust"] == pytest.approx(1.4826 * np.nanmedian(np.abs(true)), rel=0.2)
 
 
 @pytest.mark.slow

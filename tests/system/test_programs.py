@@ -33,8 +33,7 @@ HEADERS = next((path.parent for path in Path("/usr/include").rglob("hdf5.h")), N
 
 
 def write(path: Path, body: str) -> Path:
-    """Make a Python program with the arguments `dataset`, `result` and `rest`. It imports numpy and
-    h5py."""
+    """Make a Python program with the arguments `dataset`, `result` and `rest`."""
     head = (
         "import json, os, sys\nfrom pathlib import Path\nimport h5py, numpy as np\n"
         "dataset, result, *rest = sys.argv[1:]\n"
@@ -106,8 +105,7 @@ def test_no_result_leaves_nothing(quick: Dataset, tmp_path: Path, what: str) -> 
 @pytest.mark.slow
 def test_the_command(quick: Dataset, command: Command, tmp_path: Path) -> None:
     write(tmp_path / "mine.py", WHOLE)
-    done = succeed(command("solve", "./mine.py", quick.root, "-o", "r.h5"))
-    assert "r.h5: mine," in done.stdout
+    assert "r.h5: mine," in succeed(command("solve", "./mine.py", quick.root, "-o", "r.h5")).stdout
     where = (quick.root, "-o", "s.h5")
     refuse(command("solve", "./mine.py", quick.root, "-o", "r.h5"), "r.h5")
     refuse(command("solve", "./other.py", *where), "other.py")
@@ -246,7 +244,6 @@ def test_changed_data_scores_nothing(quick: Dataset, quick_result: Path, tmp_pat
 
 
 def recorded(data: Dataset, board: Path, **values: Any) -> None:
-    """A record of somebody's result on a data set."""
     known = {"scene_hash": data.manifest.scene_hash, "solver": "asa", "parameters": {}}
     known |= {"run_hash": "ab", "versions": {}, "machine": {}}
     append(board / "records" / "a.jsonl", known | values)
@@ -406,8 +403,7 @@ def test_a_bundled_solvers_result_is_recognised(command: Command, tmp_path: Path
     renamed(result, tmp_path / "mine.h5", "mine")
     done = command("submit", "mine.h5", "--name", "Ann")
     assert "mine.h5: its estimates are those of asa; the record says so" in done.stderr
-    honest = succeed(command("submit", result, "--name", "Ann"))
-    assert "its estimates are" not in honest.stderr
+    assert "its estimates are" not in succeed(command("submit", result, "--name", "Ann")).stderr
     mine, own = read_records(tmp_path / "leaderboard" / "records")[1:]
     assert (mine["solver"], mine["same_estimates_as"]) == ("mine", "asa")
     assert (own["solver"], own["same_estimates_as"]) == ("asa", None)

@@ -25,6 +25,7 @@ from sabench.utils import backend
 from tests.conftest import Command
 from tests.helpers.bubble_scenes import LASER, small
 from tests.helpers.commands import refuse
+from tests.helpers.plug_ins import write_plug_in
 from tests.helpers.refusals import refused
 
 SPEEDS = {"a_mm_s": 40.0, "b_mm_s": 30.0, "c_mm_s": 20.0}
@@ -39,7 +40,6 @@ def moving(frames: int = 6) -> Scene:
 
 
 def bubbly() -> Scene:
-    """Bubbles, and tracers among them that a flow carries."""
     tracers = {"particles": {"generator": "uniform", "count": 30}, "illumination": LASER}
     flow = {"frames": 2, "interval_s": 0.01, "flow": ABC}
     return small(**flow, **tracers, render={"relative_error": 0.2})
@@ -110,44 +110,25 @@ def test_killed_workers_are_replaced(
     assert [entry.name for entry in tmp_path.iterdir()] == ["two"]
 
 
-BROKEN = '''"""Particles of which one frame breaks whoever makes it."""
-
-import os
-import pathlib
-
-import numpy as np
-
-from sabench.api import Generator, Parameters
-from sabench.api.truth import Particles
-from sabench.geometry.rigid_motion import Domain
-
-
-class BreakerParameters(Parameters):
+BROKEN = '''
+class Parameters(Parameters):
     """When it breaks."""
 
     until: str
 
-
-class Breaker(Generator):
-    """Breaks the process in frame 1 until a file is there."""
-
-    name = "breaker"
-    Parameters = BreakerParameters
-
-    def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
-        if frame == 1 and not pathlib.Path(self.parameters.until).exists():
-            os._exit(11)
-        rng = np.random.default_rng(frame)
-        place = domain.low_mm + rng.random((20, 3)) * domain.size_mm
-        return Particles(np.arange(20), place, np.full(20, 0.02), np.zeros((20, 3)))
+def particles(self, domain, seed, frame, time_s):
+    if frame == 1 and not pathlib.Path(self.parameters.until).exists():
+        os._exit(11)
+    rng = np.random.default_rng(frame)
+    place = domain.low_mm + rng.random((20, 3)) * domain.size_mm
+    return Particles(np.arange(20), place, np.full(20, 0.02), np.zeros((20, 3)))
 '''
 
 
 @pytest.mark.slow
 def test_a_frame_that_breaks_is_reported_alone(tmp_path: Path, own_process: Command) -> None:
-    plugin, cure = tmp_path / "mine" / "generators" / "breaker.py", tmp_path / "cure"
-    plugin.parent.mkdir(parents=True)
-    plugin.write_text(BROKEN)
+    cure, head = tmp_path / "cure", "from sabench.api.truth import Particles"
+    write_plug_in(tmp_path / "mine", "generators", "breaker", BROKEN, head, "Generator")
     values = load_scene("quick").to_dict() | {
         "particles": {"generator": "breaker", "until": str(cure)}
     }
@@ -218,9 +199,6 @@ def test_bad_numbers_are_refused(tmp_path: Path, command: Command) -> None:
     assert not list(tmp_path.iterdir())
 
 
-# On a cluster
-
-
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed")
@@ -237,8 +215,7 @@ def test_a_cluster_of_killed_workers_makes_the_same_bytes(
         return [nanny.pid for nanny in cluster.workers.values() if nanny.pid]
 
     with killing(tmp_path, pids, count=2, views=10):
-        address = cluster.scheduler_address
-        assert made(moving(20), tmp_path / "there", scheduler=address) == expected
+        assert made(moving(20), tmp_path / "there", scheduler=cluster.scheduler_address) == expected
     assert [entry.name for entry in tmp_path.iterdir()] == ["there"]
 
 

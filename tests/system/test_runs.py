@@ -1,5 +1,4 @@
-"""Runs of suites, of scenes and of recordings. Nothing is computed twice, every record says how to
-reproduce it, hidden data sets stay hidden, and recordings are never changed or deleted."""
+"""Runs of suites, of scenes and of recordings: what is known, hidden or kept."""
 
 import base64
 import json
@@ -244,16 +243,9 @@ def folder(made: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def damage(folder: Path) -> Path:
-    image = folder / "tank/images/frame_0001/camera_02.tif"
-    image.write_bytes(image.read_bytes()[:-1] + b"\x01")
-    return image
-
-
 def import_again(made: Path, folder: Path) -> None:
     shutil.rmtree(folder / "tank")
-    data = open_dataset(made / "data")
-    import_exactly(data, made / "images", folder / "tank", black_dn=50.0)
+    import_exactly(open_dataset(made / "data"), made / "images", folder / "tank", black_dn=50.0)
 
 
 @pytest.mark.slow
@@ -297,8 +289,7 @@ def test_the_page_has_a_table_of_its_own_without_ranks(folder: Path, command: Co
     assert [one["key"] for one in own["columns"]] == [*FIGURES, "seconds", "peak_mb"]
     assert own["columns"][0]["meaning"].endswith("; smaller is better")
     assert own["larger"] is None
-    volumes = page["tasks"]["reconstruction, recorded"]["columns"]
-    assert volumes[0]["key"] == "explained"
+    assert page["tasks"]["reconstruction, recorded"]["columns"][0]["key"] == "explained"
     recorded = [row for row in page["rows"] if page["cases"][row["case"]]["recorded"]]
     assert len(recorded) == 2
     assert not any(row["ranked"] for row in recorded)
@@ -374,7 +365,8 @@ def test_programs_and_images_elsewhere(made: Path, folder: Path, command: Comman
 def test_a_recording_that_has_changed(made: Path, folder: Path, command: Command) -> None:
     """A damaged one is refused, another one of the same name is solved anew."""
     assert command("run", "s.toml").returncode == 0
-    image = damage(folder)
+    image = folder / "tank/images/frame_0001/camera_02.tif"
+    image.write_bytes(image.read_bytes()[:-1] + b"\x01")
     refuse(command("run", "s.toml", "--fresh"), "recording tank", str(image))
     assert image.is_file()
     assert len(local_records(folder)) == 1

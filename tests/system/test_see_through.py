@@ -1,5 +1,4 @@
-"""A code behind bubbles, from scene to score. Single views show less of it than a refocused
-plane."""
+"""A code behind bubbles, from scene to score."""
 
 import json
 from pathlib import Path
@@ -67,8 +66,7 @@ def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_p
 
 @pytest.mark.slow
 def test_without_bubbles_every_view_shows_the_code(tmp_path: Path) -> None:
-    """The code is where the images are dark. At a tilt, behind the wall, by the cameras' own lines
-    of sight."""
+    """At a tilt, behind the wall, the code is dark along the cameras' own lines of sight."""
     data = generate(behind(None, turn_deg=[0.0, 30.0, 10.0]), tmp_path / "data", seed=4)
     code = code_of(data.scene, 4, 0)
     assert code.dark.sum() == 15
@@ -86,8 +84,7 @@ def test_a_bent_code_is_read_on_its_cylinder(tmp_path: Path, command: Command) -
     data = generate(scene, tmp_path / "data", seed=4)
     words = ["--surface", "cylinder", "-p", "radius_mm=6", "-p", "center_mm=[0,0,62]"]
     size = ["-p", "size_mm=[12,10]", "-p", "pixel_mm=0.1", "--json"]
-    done = succeed(command("refocus", "data", "-o", "wall", *words, *size))
-    summary = json.loads(done.stdout)
+    summary = json.loads(succeed(command("refocus", "data", "-o", "wall", *words, *size)).stdout)
     assert (summary["rows"], summary["columns"]) == (101, 121)
     assert summary["seen_percent"] == 100.0
     image = read_exr(tmp_path / "wall" / "image.exr", (101, 121))
@@ -126,8 +123,7 @@ def test_the_code_comes_from_the_seed() -> None:
     plate = plugin(plugin.Parameters())
     np.testing.assert_array_equal(plate.code(1).dark, plate.code(1).dark)
     assert (plate.code(1).dark != plate.code(2).dark).sum() > 50
-    solid = plate.body(1)
-    assert len(solid.faces) == 12 * plate.code(1).dark.sum()
+    assert len(plate.body(1).faces) == 12 * plate.code(1).dark.sum()
 
 
 @pytest.mark.slow

@@ -90,8 +90,7 @@ def test_volumes_are_as_behind_a_plane_wall(name: str, solver: str, shots: dict[
     found = []
     for one in (shots["quick"], shots[name]):
         made = solve(solver, one.observation)
-        scores = score_frame(one.observation.grid, one.particles, one.views, made)
-        found.append(scores["q"] or 0.0)
+        found.append(score_frame(one.observation.grid, one.particles, one.views, made)["q"] or 0.0)
     assert found[1] > found[0] - 0.03
 
 

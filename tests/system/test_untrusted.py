@@ -5,8 +5,6 @@ import os
 import re
 import resource
 import shutil
-import subprocess
-import sys
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -35,6 +33,7 @@ from sabench.utils.files import canonical_json, read_json
 from sabench.utils.processes.call import read_isolated
 from sabench.worlds.library.mesh_files import read_mesh
 from tests.conftest import ROOT
+from tests.helpers.commands import run_python
 from tests.helpers.refusals import check_sentence as check, refused
 from tests.helpers.untrusted import KINDS, LARGEST_STEPS, SCENE, check_sentence, reseal, steps_of
 from tests.helpers.untrusted_files import png
@@ -45,8 +44,7 @@ def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> No
     """Without submissions, each of which starts processes."""
     kinds = [word for kind in sorted({*KINDS} - {"submission"}) for word in ("--kind", kind)]
     options = f"--count 72 --seed 7 --limit 60 --keep {tmp_path / 'kept'}".split()
-    words = [sys.executable, str(ROOT / "benchmarks" / "fuzz.py"), *options, *kinds]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = run_python(ROOT / "benchmarks" / "fuzz.py", *options, *kinds, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"^all +72 +\d+ +\d+ +0 +0 +0 +0 +\d+$", done.stdout, re.M), done.stdout
 
@@ -213,17 +211,12 @@ def deflated_zeros(size: int) -> bytes:
     return b"\x78\xda" + size // MB * block + rest + checksum.to_bytes(4, "big")
 
 
-def with_stream(path: Path, size: int) -> Path:
-    """A chunk of 2.4 MB whose deflate stream holds `size` bytes."""
+@pytest.mark.parametrize("size", [2_399_999, 2_400_001, 2000 * MB])
+def test_a_deflate_stream_holds_one_chunk(size: int, tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"  # a chunk of 2.4 MB
     with h5py.File(path, "w") as file:
         node = file.create_dataset("x", (100_000, 3), "f8", chunks=(100_000, 3), compression="gzip")
         node.id.write_direct_chunk((0, 0), deflated_zeros(size))
-    return path
-
-
-@pytest.mark.parametrize("size", [2_399_999, 2_400_001, 2000 * MB])
-def test_a_deflate_stream_holds_one_chunk(size: int, tmp_path: Path) -> None:
-    path = with_stream(tmp_path / "a.h5", size)
     before = largest_mb()
     with refused("x"), open_hdf5(path) as file:
         read_array(file, "x", (None, 3), "f")

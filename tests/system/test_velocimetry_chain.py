@@ -1,5 +1,4 @@
-"""Velocimetry from a flow to vectors. Double frames, a reconstruction, a field, its scores and its
-row on the page."""
+"""Velocimetry from double frames to a field, its scores and its row on the page."""
 
 import json
 from dataclasses import replace
@@ -77,8 +76,7 @@ def test_vectors_that_are_left_out_cost_the_yield(vortex: Dataset) -> None:
     whole = TASK.truth(vortex, 0)
     upper = np.zeros_like(whole.valid)
     upper[: len(upper) // 3] = True
-    part = replace(whole, valid=upper)
-    scores = score_pair(vortex, (0, 1), part)
+    scores = score_pair(vortex, (0, 1), replace(whole, valid=upper))
     assert scores["yield_percent"] == pytest.approx(100.0 * upper.mean())
     assert scores["rms_voxel"] == 0.0
     worse = replace(whole, velocity_mm_s=0.9 * whole.velocity_mm_s)
@@ -102,16 +100,14 @@ def test_a_field_that_is_right_along_x_only_does_not_lead(wrong: str, vortex: Da
 
 @pytest.mark.slow
 def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
-    scene = vortex_scene(frames=2)
-    (tmp_path / "vortex.toml").write_text(scene.to_toml(), encoding="utf-8")
+    (tmp_path / "vortex.toml").write_text(vortex_scene(frames=2).to_toml(), encoding="utf-8")
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nbackend = "splat"\nscenes = ["vortex.toml"]\n'
         '[[solvers]]\nname = "piv3d"\n'
         'parameters = { reconstruction = "mlos_smart", window = [24, 24, 24], first_window = '
         "[32, 32, 32] }\n"
     )
-    done = succeed(command("run", "suite.toml", "--json"))
-    (record,) = json.loads(done.stdout)
+    (record,) = json.loads(succeed(command("run", "suite.toml", "--json")).stdout)
     assert record["task"] == "velocimetry"
     assert record["u_p90_voxel"] < 0.4
     page = local_page(tmp_path)

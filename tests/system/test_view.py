@@ -116,8 +116,7 @@ def moving(count: int = 40) -> PageContents:
     frames = tuple(
         Frame(n, 0.1 * n, ObjectCloud.of_kind(start + 0.3 * n, *about), nothing) for n in range(3)
     )
-    labels = {"found": EVIL, "missed": "missed"}
-    return replace(contents, title=EVIL, frames=frames, labels=labels)
+    return replace(contents, title=EVIL, frames=frames, labels={"found": EVIL, "missed": "missed"})
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +231,6 @@ def test_nothing_is_wider_than_the_screen(browser: Browser, pictured: Path, widt
 
 @pytest.mark.slow
 def test_particles_are_marked_where_the_image_shows_them(browser: Browser, pictured: Path) -> None:
-    """Marks are at bright pixels of the camera's image, and follow the chosen camera."""
     open_page(browser, pictured)
     script = """(() => {{
       const images = sabenchView.images, marks = [...images.marks()], canvas = images.picture.image;

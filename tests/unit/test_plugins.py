@@ -62,8 +62,7 @@ def test_a_folder_that_is_named_twice_counts_once(
     root = folder.parent
     (root / "link").symlink_to(root)
     monkeypatch.chdir(root)
-    twice = [str(root), ".", "link"]
-    monkeypatch.setenv("SABENCH_PLUGINS", os.pathsep.join(twice))
+    monkeypatch.setenv("SABENCH_PLUGINS", os.pathsep.join([str(root), ".", "link"]))
     assert plugins.file_of("solvers", "odd") == folder / "odd.py"
 
 

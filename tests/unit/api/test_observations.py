@@ -116,9 +116,8 @@ def test_a_refused_frame_leaves_nothing(tmp_path: Path) -> None:
     """A refused second frame leaves no result, and no part of one. The first frame is solved."""
     scene = make_scene(particles={"count": 30}).model_copy(update={"frames": 2})
     data = sabench.generate(scene, tmp_path / "set", seed=1, backend="splat", name="s")
-    white = np.full((110, 170), 4024, dtype=np.uint16)
     copy = Path(shutil.copytree(data.root, tmp_path / "copy"))
-    write_tiff(copy / "images/frame_0001/camera_01.tif", white)
+    write_tiff(copy / "images/frame_0001/camera_01.tif", np.full((110, 170), 4024, dtype=np.uint16))
     with refused("copy: frame 1", "camera_01"):
         sabench.solve("msa", copy, tmp_path / "r.h5")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["copy", "set"]

@@ -13,15 +13,7 @@ import numpy as np
 import pytest
 
 from benchmarks import planner
-from sabench.apps.planning.expected_scores import (
-    FEATURES,
-    MODEL,
-    SCORES,
-    GaussianProcess,
-    Kernel,
-    features_of,
-    load_model,
-)
+from sabench.apps.planning import expected_scores
 from sabench.apps.planning.page import draw_rig, render_plan
 from sabench.apps.planning.plan import Plan, RecordingSystem, Wanted, design_scene, plan
 from sabench.evaluation.suite_loading import override
@@ -196,8 +188,7 @@ WARNED = [
 @pytest.mark.slow_but_first
 @pytest.mark.parametrize(("key", "changes"), WARNED)
 def test_warnings_name_the_key_to_change(key: str, changes: dict[str, Any]) -> None:
-    advice = plan(changed(**changes)).advice
-    sentences = [one.sentence for one in advice if one.key == key]
+    sentences = [one.sentence for one in plan(changed(**changes)).advice if one.key == key]
     assert any(key in sentence for sentence in sentences)
 
 
@@ -287,24 +278,25 @@ RECORD = json.loads(planner.RECORD.read_text(encoding="utf-8"))
 def typical(**changes: float) -> F64:
     features = np.median([one["features"] for one in RECORD.values()], axis=0)
     for name, value in changes.items():
-        features[list(FEATURES).index(name)] = value
+        features[list(expected_scores.FEATURES).index(name)] = value
     return np.asarray(features)
 
 
 def test_the_model_holds_the_scenes_of_the_record() -> None:
-    kept = json.loads(MODEL.read_text(encoding="utf-8"))
+    kept = json.loads(expected_scores.MODEL.read_text(encoding="utf-8"))
     fitted = [one for number, one in RECORD.items() if int(number) not in planner.NOT_FITTED]
-    assert kept["names"] == list(FEATURES)
+    assert kept["names"] == list(expected_scores.FEATURES)
     assert kept["features"] == [one["features"] for one in fitted]
     for key in ("q_mart", "ghosts_synthetic_aperture"):
-        measured = planner._scores(fitted, SCORES[key])
+        measured = planner._scores(fitted, expected_scores.SCORES[key])
         np.testing.assert_allclose(kept["scores"][key], measured, rtol=0.0, atol=6e-6)
 
 
 def test_ghosts_of_draws_have_a_geometric_mean() -> None:
     scene = {"scores": {"msa": {"ghosts": [9.0, 99.0], "q": [0.7, 0.8]}}}
     ghosts, q = (
-        planner._scores([scene], SCORES[f"{name}_synthetic_aperture"]) for name in ("ghosts", "q")
+        planner._scores([scene], expected_scores.SCORES[f"{name}_synthetic_aperture"])
+        for name in ("ghosts", "q")
     )
     assert ghosts[0] == pytest.approx(math.sqrt(0.1 * 1.0) - 0.01)
     assert q[0] == pytest.approx(0.75)
@@ -323,22 +315,22 @@ def test_a_process_without_noise_goes_through_its_points() -> None:
 
 def test_values_left_out_are_those_of_a_process_without_them() -> None:
     process = smooth_process(noise=0.1)
-    without = GaussianProcess(process.points[1:], process.values[1:], process.kernel)
+    without = replace(process, points=process.points[1:], values=process.values[1:])
     shift = process.values.mean() - without.values.mean()  # means are of the values that are left
     expected, _ = without.predict(process.points[:1])
     assert process.left_out()[0] == pytest.approx(expected[0], abs=0.1 * abs(shift) + 0.01)
 
 
-def smooth_process(noise: float = 0.0, count: int = 60) -> GaussianProcess:
+def smooth_process(noise: float = 0.0, count: int = 60) -> expected_scores.GaussianProcess:
     """Make a process of sin x + y at random points."""
     points = np.random.default_rng(1).uniform(-1.5, 1.5, (count, 2))
-    kernel = Kernel(np.array([1.5, 3.0]), 1.0, 1.0, noise)
-    return GaussianProcess(points, np.sin(points[:, 0]) + points[:, 1], kernel)
+    kernel = expected_scores.Kernel(np.array([1.5, 3.0]), 1.0, 1.0, noise)
+    return expected_scores.GaussianProcess(points, np.sin(points[:, 0]) + points[:, 1], kernel)
 
 
 @pytest.mark.slow
 def test_the_fit_finds_the_likeliest_lengths() -> None:
-    process = load_model().processes["q_mart"]
+    process = expected_scores.load_model().processes["q_mart"]
     started = replace(process, kernel=planner._as_kernel(planner._START))
     assert process.surprise() < started.surprise()
 
@@ -346,7 +338,7 @@ def test_the_fit_finds_the_likeliest_lengths() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("key", ["q_synthetic_aperture", "q_mart"])
 def test_scores_change_in_the_right_direction(key: str) -> None:
-    model, middle = load_model(), typical()
+    model, middle = expected_scores.load_model(), typical()
 
     def score(**changes: float) -> float:
         return float(model.predict(key, typical(**changes)[None])[0][0])
@@ -357,9 +349,9 @@ def test_scores_change_in_the_right_direction(key: str) -> None:
 
 
 def test_the_model_stops_at_the_edge_of_its_range() -> None:
-    model = load_model()
+    model = expected_scores.load_model()
     edge, outside = typical(cameras=float(model.high[0])), typical(cameras=100.0)
-    for key in SCORES:
+    for key in expected_scores.SCORES:
         assert model.predict(key, outside[None]) == model.predict(key, edge[None])
 
 
@@ -382,19 +374,19 @@ def test_a_plan_outside_the_range_says_how_far(changes: dict[str, Any], key: str
 @pytest.mark.slow
 def test_the_record_is_of_the_scenes_that_the_benchmark_draws() -> None:
     number = planner.NOT_FITTED[0]
-    scene = planner.draw_scene(number)
-    figures = planner.figures_of(scene)
-    expected = list(features_of(figures))
+    expected = list(expected_scores.features_of(planner.figures_of(planner.draw_scene(number))))
     np.testing.assert_allclose(expected, RECORD[str(number)]["features"], rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.slow
 def test_the_errors_on_scenes_that_were_not_fitted_are_as_documented() -> None:
-    model = load_model()
+    model = expected_scores.load_model()
     others = [RECORD[str(number)] for number in planner.TESTED]
     features = np.array([one["features"] for one in others])
     for key, most in (("q_synthetic_aperture", 0.025), ("q_mart", 0.025)):
-        error = model.predict(key, features)[0] - planner._scores(others, SCORES[key])
+        error = model.predict(key, features)[0] - planner._scores(
+            others, expected_scores.SCORES[key]
+        )
         assert np.sqrt(np.mean(error**2)) < most
 
 
@@ -433,8 +425,7 @@ def test_outlines_are_to_scale() -> None:
 def test_the_page_escapes_what_a_scene_says() -> None:
     made = plan("quick")
     scene = made.scene.model_copy(update={"title": "<script>alert(1)</script>"})
-    page = render_plan(type(made)(scene, made.rig, made.viewing, made.sections))
-    assert "<script" not in page
+    assert "<script" not in render_plan(type(made)(scene, made.rig, made.viewing, made.sections))
 
 
 @pytest.mark.slow

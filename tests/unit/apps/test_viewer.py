@@ -99,17 +99,14 @@ def test_particles_are_classified_as_they_are_scored(moving: Dataset) -> None:
     assert counts["duplicate"] == count_duplicates(voxels, true_voxels, every)
     missed = cloud.position_mm[cloud.kind == MISSED]
     assert np.array_equal(np.sort(missed, axis=0), np.sort(true[:10], 0))
-    ghosts = cloud.select(cloud.kind == GHOST)
-    assert ghosts.position_mm == pytest.approx(estimate.position_mm[-3:])
+    assert cloud.select(cloud.kind == GHOST).position_mm == pytest.approx(estimate.position_mm[-3:])
     assert (cloud.kind == DUPLICATE).sum() == 5
 
 
 def test_the_truth_finds_everything_and_an_empty_result_nothing(moving: Dataset) -> None:
-    true = moving.particles(0).position_mm
-    best = classify_particles(FoundParticles(true), moving, 0)
+    best = classify_particles(FoundParticles(moving.particles(0).position_mm), moving, 0)
     assert set(best.kind) == {TRUE, FOUND}
-    worst = classify_particles(FoundParticles(np.zeros((0, 3))), moving, 0)
-    assert set(worst.kind) == {MISSED}
+    assert set(classify_particles(FoundParticles(np.zeros((0, 3))), moving, 0).kind) == {MISSED}
 
 
 def some_bubbles(count: int) -> Bubbles:
@@ -124,15 +121,13 @@ def test_bubbles_are_classified_and_keep_their_shapes() -> None:
     true = some_bubbles(6)
     data: Any = SimpleNamespace(has_truth=True, bubbles=lambda frame: true)
     moved = true.center_mm[1:] + np.array([[0.1], [50.0], [0.1], [0.0], [0.0]])
-    found = Detections(moved, true.semi_axes_mm[1:], true.turn[1:])
-    cloud = classify_bubbles(found, data, 0)
+    cloud = classify_bubbles(Detections(moved, true.semi_axes_mm[1:], true.turn[1:]), data, 0)
     counts = dict(zip(OBJECT_KINDS, cloud.counts(), strict=True))
     assert counts == {"true": 4, "found": 4, "missed": 2, "ghost": 1, "duplicate": 0}
     assert np.flatnonzero(cloud.kind == MISSED).tolist() == [0, 2]
     assert cloud.shape_mm is not None
     rim = cloud.shape_mm[:6] @ np.array([0.6, 0.0, 0.8])
-    inside = np.linalg.norm(np.einsum("nij,nj->ni", true.to_ball, rim), axis=1)
-    assert inside == pytest.approx(1.0)
+    assert np.linalg.norm(np.einsum("nij,nj->ni", true.to_ball, rim), axis=1) == pytest.approx(1.0)
 
 
 def test_a_page_of_a_result_has_trajectories_counts_and_labels(
@@ -187,8 +182,7 @@ def test_refocused_planes_are_bright_at_the_particles(
 def test_planes_of_any_axis_fill_the_volume_and_face_the_cameras(axis: int, sign: int) -> None:
     low, high = np.array([-1.0, -2.0, -3.0]), np.array([3.0, 4.0, 5.0])
     place = page_content._place_planes(low, high, axis, sign)
-    ahead = np.cross(place.across_mm, place.down_mm)
-    assert ahead @ place.step_mm > 0.0
+    assert np.cross(place.across_mm, place.down_mm) @ place.step_mm > 0.0
     assert np.sign(place.step_mm[axis]) == sign
     count = page_content._PLANES
     ends = [place.corner_mm - place.step_mm / 2.0, place.corner_mm + (count - 0.5) * place.step_mm]
@@ -247,8 +241,7 @@ def test_a_target_without_images_shows_its_points(tmp_path: Path) -> None:
     contents = of_dataset(data)
     assert contents.sort == "Target"
     assert not page_content.has_images(data)
-    points = data.placed().points_mm
-    assert contents.frames[1].particles.position_mm == pytest.approx(points[1])
+    assert contents.frames[1].particles.position_mm == pytest.approx(data.placed().points_mm[1])
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from sabench.cli import main as command_line
 from sabench.utils.errors import InputError
 from tests.conftest import ROOT, Command
-from tests.helpers.commands import refuse, succeed
+from tests.helpers.commands import refuse, run_python, succeed
 from tests.helpers.refusals import check_sentence
 
 GONE = '"""Gone."""\n\nfrom sabench.reproject import sweep\n'
@@ -121,10 +121,7 @@ def test_shells_complete_names(command: Command, words: str, offered: str) -> No
         "COMP_CWORD": str(len(words.split())),
     }
     script = "from sabench.cli.main import app; app(prog_name='sabench')"
-    call, environment = [sys.executable, "-c", script], os.environ | environment
-    done = subprocess.run(
-        call, env=environment, cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = run_python("-c", script, env=environment)
     assert offered in done.stdout.split(), done.stderr
 
 

@@ -65,8 +65,7 @@ def test_particles_of_a_volume_are_its_maxima(scene: Scene) -> None:
     [("equal 0.125", 4), ("nine 0.10", 9), ("thirteen 0.30", 13), ("twentyfive 0.50", 25)],
 )
 def test_cases_have_their_cameras_and_densities(case: str, cameras: int) -> None:
-    scene = scene_of(case)
-    assert len(build_rig(scene).cameras) == cameras
+    assert len(build_rig(scene_of(case)).cameras) == cameras
     assert CASES[case].per_pixel == pytest.approx(float(case.split()[-1]))
 
 

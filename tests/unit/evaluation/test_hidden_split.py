@@ -83,9 +83,7 @@ def test_a_bad_secret_is_a_sentence_that_does_not_repeat_it(tmp_path: Path, text
 def test_parts_of_a_suite(tmp_path: Path) -> None:
     _, cases = load_suite(write(tmp_path, SUITE))
     chosen = Only(("quick",), (2,), ("additive",)).select(cases)
-    assert [(case.seed, [one.shown for one in case.solvers]) for case in chosen] == [
-        (2, ["additive"])
-    ]
+    assert [(c.seed, [one.shown for one in c.solvers]) for c in chosen] == [(2, ["additive"])]
     assert Only().select(cases) == cases
     with refused("--solver asa"):
         Only(solvers=("asa",)).select(cases)

@@ -94,8 +94,7 @@ def test_neither_scatter_nor_a_result_sent_again_nor_a_missing_case_improves_a_r
 
 def test_solvers_are_placed_by_their_mean_rank() -> None:
     good = results("good", {"easy": around(0.9), "hard": around(0.8)})
-    fair = results("fair", {"easy": around(0.7), "hard": around(0.6)})
-    assert standing([*fair, *good]) == {
+    assert standing([*results("fair", {"easy": around(0.7), "hard": around(0.6)}), *good]) == {
         "good": (1, [1, 1], ["", ""]),
         "fair": (2, [2, 2], ["", ""]),
     }
@@ -154,8 +153,7 @@ def test_the_gate_of_the_task_holds() -> None:
 
 def test_a_result_sent_under_another_name_shares_the_line_of_the_first() -> None:
     sent = {"submission": {"name": "Eve", "date": "2026-01-02"}}
-    records = [*easy("copy", 0.8, **sent), *easy("original", 0.8), *easy("third", 0.7)]
-    lines = board(records).lines
+    lines = board([*easy("copy", 0.8, **sent), *easy("original", 0.8), *easy("third", 0.7)]).lines
     assert [line.result.row["solver"] for line in lines] == ["original", "third"]
     assert [line.place for line in lines] == [1, 2]
     assert [one["solver"] for one in lines[0].also] == ["copy"]
@@ -204,8 +202,7 @@ def test_suites_renderers_and_splits_have_standings_of_their_own() -> None:
 
 def test_a_record_that_says_less_of_its_case_is_compared_with_the_others() -> None:
     """As older records do, and submissions of data sets that nobody has run."""
-    old = easy("old", 0.7, suite=None, difficulty=None)
-    found = board([*old, *easy("new", 0.8)])
+    found = board([*easy("old", 0.7, suite=None, difficulty=None), *easy("new", 0.8)])
     assert [line.place for line in found.lines] == [1, 2]
     assert found.columns[0].name == "easy"
 
@@ -268,9 +265,7 @@ def test_result_files_come_out_as_they_went_in(tmp_path: Path, ending: str) -> N
     else:
         taped(path, "b/two.h5", content)
     with submitted_files(path) as found:
-        assert [(name, file.read_bytes()) for name, file in found.results] == [
-            ("b/two.h5", content)
-        ]
+        assert [(name, one.read_bytes()) for name, one in found.results] == [("b/two.h5", content)]
         assert [name for name, _ in found.cards] == ["b/card.toml"] * (ending == "zip")
         places = [file for _, file in (*found.results, *found.cards)]
     assert not any(place.exists() for place in places)
@@ -375,8 +370,7 @@ def test_varied_values_make_a_curve_for_each_value_of_the_others() -> None:
 @pytest.mark.parametrize("key", ["suite", "scene", "renderer", "split"])
 def test_cases_of_other_suites_scenes_and_renderers_are_apart(key: str) -> None:
     other = {"split": "hidden"}.get(key, "other")
-    records = [varied("a", {"x": 1.0}), varied("b", {"x": 2.0}, **{key: other})]
-    assert found(records) == []
+    assert found([varied("a", {"x": 1.0}), varied("b", {"x": 2.0}, **{key: other})]) == []
 
 
 def test_recorded_cases_and_cases_without_numbers_make_no_curve() -> None:

@@ -42,20 +42,10 @@ sys.exit(any(child.exitcode for child in children))
 
 
 def record(solver: str, q: float | None = None, **changes: Any) -> dict[str, Any]:
-    return {
-        "scene": "tank",
-        "scene_hash": "5c" * 32,
-        "dataset": "da" * 32,
-        "seed": 1,
-        "renderer": "splat",
-        "solver": solver,
-        "parameters": {},
-        "q": q,
-        "versions": {"numpy": "2.0"},
-        "run_hash": "01",
-        "machine": {"cpu": "some processor"},
-        **changes,
-    }
+    head = {"scene": "tank", "scene_hash": "5c" * 32, "dataset": "da" * 32, "seed": 1}
+    head |= {"renderer": "splat", "solver": solver, "parameters": {}, "q": q}
+    head |= {"versions": {"numpy": "2.0"}, "run_hash": "01", "machine": {"cpu": "some processor"}}
+    return head | changes
 
 
 def solvers(folder: Path) -> list[str]:
@@ -135,8 +125,7 @@ def test_a_broken_line_is_named_and_left_out(
     whole = json.dumps(record("whole")).encode()
     (tmp_path / "a.jsonl").write_bytes(whole + b"\n" + broken + b"\n" + whole + b"\n")
     assert solvers(tmp_path) == ["whole", "whole"]
-    warning = " ".join(capsys.readouterr().err.split())
-    assert "a.jsonl: line 2" in warning
+    assert "a.jsonl: line 2" in " ".join(capsys.readouterr().err.split())
 
 
 def test_long_lines_take_little_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -234,8 +223,7 @@ def test_latest_decides_by_date_whichever_file_comes_last(tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_sixteen_writers_at_once_lose_and_tear_nothing(tmp_path: Path) -> None:
     file = tmp_path / "a.jsonl"
-    words = [sys.executable, "-c", FORKS, str(file), str(WRITERS), str(LINES)]
-    subprocess.run(words, check=True)
+    subprocess.run([sys.executable, "-c", FORKS, str(file), str(WRITERS), str(LINES)], check=True)
     found = read_records(tmp_path)
     assert len(file.read_bytes().splitlines()) == len(found) == WRITERS * LINES
     for number in range(WRITERS):

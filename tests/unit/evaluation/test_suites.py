@@ -119,8 +119,7 @@ def test_realism_adds_up_to_the_realistic_scene() -> None:
 def test_a_value_replaces_the_whole_that_its_key_names() -> None:
     scene = load_scene("quick")
     layout = {"kind": "line", "count": 3, "spacing_mm": 50.0}
-    line = override(scene, {"cameras.layout": layout}, "s")
-    assert len(build_rig(line).cameras) == 3
+    assert len(build_rig(override(scene, {"cameras.layout": layout}, "s")).cameras) == 3
     assert override(scene, {}, "s").hash == scene.hash
 
 
@@ -193,8 +192,7 @@ THESIS = [
 def test_the_thesis_arrays_are_as_it_says(
     name: str, magnification: float, count: int, baseline: float, voxel_mm: float
 ) -> None:
-    scene = load_scene(name)
-    rig = build_rig(scene)
+    rig = build_rig(load_scene(name))
     places = np.array([camera.center_mm for camera in rig.cameras])
     center = rig.cameras[int(np.argmin(np.linalg.norm(places, axis=1)))]
     distance = -center.center_mm[2]

@@ -96,8 +96,7 @@ def test_points_behind_the_camera_are_not_valid() -> None:
 
 def test_pixel_zero_is_the_centre_of_the_top_left_pixel() -> None:
     camera = make_camera(principal_point_px=(0.0, 0.0))
-    found = camera.directions([[0.0, 0.0]])[0][0]
-    assert_allclose(found, camera.rotation[2], rtol=0, atol=1e-15)
+    assert_allclose(camera.directions([[0.0, 0.0]])[0][0], camera.rotation[2], rtol=0, atol=1e-15)
     inside = np.array([[-0.5, -0.5], [499.499, 299.499], [299.9, 299.4]])
     border = np.array([[-0.501, 0.0], [0.0, -0.501], [499.5, 0.0], [0.0, 299.5]])
     assert camera.contains(inside).all()

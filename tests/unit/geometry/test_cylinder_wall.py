@@ -8,17 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench.evaluation.gates.independent_projection import aim_at, shoot
-from sabench.geometry import cylinder_kernels
+from sabench.geometry import cylinder_kernels, refraction
 from sabench.geometry.camera import aim, aimed_rotation
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.lens import Distortion
-from sabench.geometry.refraction import (
-    Wall,
-    length_to_fluid,
-    trace_into_fluid,
-    trace_to_points,
-    transmittance,
-)
 from sabench.scenes.build import build_wall
 from sabench.scenes.wall import CylinderSpec, LayerSpec
 from sabench.utils.arrays import F64, triple
@@ -66,11 +59,11 @@ def test_paths_and_rays_are_those_of_a_vector_tracer(kind: str) -> None:
     """Rays that leave along a found path meet its point, and both programs agree on them."""
     spec = SPECS[kind]
     wall, points = build_wall(spec), points_in(spec, 0.6, 300, 1)
-    paths = trace_to_points(wall, PINHOLE, points)
+    paths = refraction.trace_to_points(wall, PINHOLE, points)
     assert paths.valid.all()
     at, along = shoot(spec, PINHOLE, paths.leaving)
     assert misses(at, along, points).max() < 1e-9
-    rays = trace_into_fluid(wall, PINHOLE, paths.leaving)
+    rays = refraction.trace_into_fluid(wall, PINHOLE, paths.leaving)
     assert rays.valid.all()
     assert misses(rays.origins_mm, rays.directions, points).max() < 1e-9
     assert_allclose(rays.origins_mm, at, rtol=0, atol=1e-10)
@@ -116,12 +109,8 @@ def forward(spec: CylinderSpec, count: int) -> tuple[F64, F64, F64]:
     )
     leaving = (aims - PINHOLE) / np.linalg.norm(aims - PINHOLE, axis=1, keepdims=True)
     rays = wall.rays(PINHOLE, leaving)
-    leaving, start, along = (
-        part[rays.valid] for part in (leaving, rays.origins_mm, rays.directions)
-    )
-    radial, flat = (
-        part - (part @ axis)[:, None] * axis for part in (start - wall.axis_point_mm, along)
-    )
+    leaving, start, along = (p[rays.valid] for p in (leaving, rays.origins_mm, rays.directions))
+    radial, flat = (p - (p @ axis)[:, None] * axis for p in (start - wall.axis_point_mm, along))
     chord = -2.0 * np.sum(radial * flat, axis=1) / np.sum(flat**2, axis=1)
     points = start + (rng.uniform(0.01, 0.99, len(chord)) * chord)[:, None] * along
     first = np.cross(leaving, axis)
@@ -142,21 +131,19 @@ def test_every_path_before_a_caustic_is_found(kind: str) -> None:
     assert before.mean() > 0.9
     assert paths.valid[before].all()
     assert_allclose(paths.leaving[before], leaving[before], rtol=0, atol=1e-9)
-    crossed = paths.leaving[~before] - leaving[~before]
-    assert not (np.linalg.norm(crossed, axis=1) < 1e-6).any()
+    assert not (np.linalg.norm(paths.leaving[~before] - leaving[~before], axis=1) < 1e-6).any()
 
 
 def test_points_without_a_path_are_not_valid() -> None:
     """In the wall, outside, in the shadow behind the limb, or without coordinates."""
     wall = build_wall(SPECS["glass"])
-    pinhole = np.array([0.0, 0.0, -500.0])
     points = [[0.0, 0.0, 0.0], [0.0, 0.0, -36.0], [0.0, 0.0, -45.0], [32.4, 0.0, 11.8]]
     points += [[math.nan, 0.0, 0.0], [0.0, math.inf, 0.0]]
-    paths = trace_to_points(wall, pinhole, np.array(points))
+    paths = refraction.trace_to_points(wall, np.array([0.0, 0.0, -500.0]), np.array(points))
     assert paths.valid.tolist() == [True, False, False, False, False, False]
     assert np.isnan(paths.leaving[1:]).all()
     assert np.isnan(paths.arriving[1:]).all()
-    inside = trace_to_points(wall, np.array([0.0, 0.0, -37.0]), np.zeros((1, 3)))
+    inside = refraction.trace_to_points(wall, np.array([0.0, 0.0, -37.0]), np.zeros((1, 3)))
     assert not inside.valid.any()
 
 
@@ -164,18 +151,18 @@ def test_rays_that_miss_the_fluid_are_not_valid() -> None:
     wall, pinhole = build_wall(SPECS["air gap"]), np.array([0.0, 0.0, -500.0])
     sideways = np.array([0.0, 0.05, 0.11, 0.13])  # of the last the line passes the cylinder
     directions = np.column_stack([sideways, np.zeros(4), np.sqrt(1.0 - sideways**2)])
-    rays = trace_into_fluid(wall, pinhole, directions)
+    rays = refraction.trace_into_fluid(wall, pinhole, directions)
     assert rays.valid.tolist() == [True, True, False, False]
     assert np.isnan(rays.directions[2:]).all()
-    assert transmittance(wall, pinhole, directions)[2:].tolist() == [0.0, 0.0]
-    assert np.isnan(length_to_fluid(wall, pinhole, directions)[2:]).all()
+    assert refraction.transmittance(wall, pinhole, directions)[2:].tolist() == [0.0, 0.0]
+    assert np.isnan(refraction.length_to_fluid(wall, pinhole, directions)[2:]).all()
 
 
-def plane_twin(wall: CylinderWall, pinhole: F64) -> Wall:
+def plane_twin(wall: CylinderWall, pinhole: F64) -> refraction.Wall:
     """The plane wall that touches a cylinder next to a pinhole."""
     normal = wall.normal_at(pinhole)
     foot = triple(pinhole - float(wall.depth_of(pinhole)) * normal)
-    return Wall(foot, triple(normal), wall.air_index, wall.layers, wall.fluid_index)
+    return refraction.Wall(foot, triple(normal), wall.air_index, wall.layers, wall.fluid_index)
 
 
 @pytest.mark.parametrize("kind", ["glass", "tilted"])
@@ -191,15 +178,19 @@ def test_without_curvature_the_kernels_are_a_plane_wall(kind: str) -> None:
         gap, faces, wall.indices, local, leaving, arriving
     ).all()
     points = pinhole + (local + np.array([gap, 0.0, 0.0])) @ frame
-    paths = trace_to_points(flat, pinhole, points)
+    paths = refraction.trace_to_points(flat, pinhole, points)
     assert_allclose(leaving @ frame, paths.leaving, rtol=0, atol=1e-15 * 5)
     assert_allclose(arriving @ frame, paths.arriving, rtol=0, atol=1e-15 * 5)
     ends, length, passed = np.zeros_like(local), np.zeros(200), np.zeros(200)
     there = leaving.copy()
     assert cylinder_kernels.follow(gap, faces, wall.indices, there, ends, length, passed).all()
     assert_allclose(there, arriving, rtol=0, atol=1e-15 * 5)
-    assert_allclose(length, length_to_fluid(flat, pinhole, paths.leaving), rtol=1e-14, atol=0)
-    assert_allclose(passed, transmittance(flat, pinhole, paths.leaving), rtol=1e-14, atol=0)
+    assert_allclose(
+        length, refraction.length_to_fluid(flat, pinhole, paths.leaving), rtol=1e-14, atol=0
+    )
+    assert_allclose(
+        passed, refraction.transmittance(flat, pinhole, paths.leaving), rtol=1e-14, atol=0
+    )
 
 
 @pytest.mark.parametrize("kind", SPECS)
@@ -212,12 +203,12 @@ def test_rays_in_a_plane_through_the_axis_see_a_plane_wall(kind: str) -> None:
     foot = PINHOLE - np.dot(PINHOLE - wall.axis_point_mm, normal) * normal
     points = foot + depth[:, None] * normal + rng.uniform(-80.0, 80.0, 100)[:, None] * axis
     flat = plane_twin(wall, PINHOLE)
-    round_, plane = (trace_to_points(one, PINHOLE, points) for one in (wall, flat))
+    round_, plane = (refraction.trace_to_points(one, PINHOLE, points) for one in (wall, flat))
     assert_allclose(round_.leaving, plane.leaving, rtol=0, atol=2e-14)
     assert_allclose(round_.arriving, plane.arriving, rtol=0, atol=2e-14)
     lengths, passed = (
         [function(one, PINHOLE, plane.leaving) for one in (wall, flat)]
-        for function in (length_to_fluid, transmittance)
+        for function in (refraction.length_to_fluid, refraction.transmittance)
     )
     assert_allclose(lengths[0], lengths[1], rtol=1e-12)
     assert_allclose(passed[0], passed[1], rtol=1e-12)

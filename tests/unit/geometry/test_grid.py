@@ -27,8 +27,7 @@ def test_axes_are_x_y_z_and_volumes_z_y_x() -> None:
     assert_allclose([x[0], x[-1], y[0], y[-1], z[0], z[-1]], [-4.0, 6.0, 2.0, 7.8, 40.0, 45.5])
     place = np.array([[-4.0 + 0.25 * 7, 2.0 + 0.2 * 5, 40.0 + 0.5 * 3]])
     assert_allclose(GRID.to_voxels(place), [[7.0, 5.0, 3.0]])
-    volume = np.zeros(GRID.shape)
-    assert volume[GRID.scored].shape == (10, 26, 35)
+    assert np.zeros(GRID.shape)[GRID.scored].shape == (10, 26, 35)
 
 
 def test_scored_part_is_the_same_for_voxels_and_positions() -> None:
@@ -98,8 +97,7 @@ def test_plane_without_a_light_path_is_refused() -> None:
 
 
 def test_a_part_of_a_grid_has_the_values_of_the_whole() -> None:
-    """Particles outside the part reach into it with all of their tails, and no further. All lengths
-    are whole multiples of 1/64 mm, so that both grids see the same positions."""
+    """All lengths are multiples of 1/64 mm, so that both grids see the same positions."""
     part = Grid((0.0, 0.0, 0.0), (0.25, 0.5, 1.0), (6, 10, 20))
     whole = Grid((-10.0, -20.0, -40.0), (0.25, 0.5, 1.0), (86, 90, 100))
     rng = np.random.default_rng(7)
@@ -139,5 +137,4 @@ def test_sections_through_the_middle_have_known_areas(normal: list[float], expec
     assert_allclose((corners - middle) @ across, 0.0, atol=1e-12)
     assert (corners >= LOW - 1e-12).all()
     assert (corners <= HIGH + 1e-12).all()
-    area = ConvexHull(corners @ frame_of_normal(across)[:2].T).volume
-    assert area == pytest.approx(expected)
+    assert ConvexHull(corners @ frame_of_normal(across)[:2].T).volume == pytest.approx(expected)

@@ -52,8 +52,7 @@ def test_a_pixel_is_where_the_chief_ray_ends(tilt: tuple[float, float], wall: Wa
     assert valid.mean() > 0.99
     exact = on_a_plane_in_space(camera, paths.leaving)
     assert_allclose(pixels[valid], exact[valid], rtol=0, atol=1e-9)
-    again = camera.pixels_of(paths.leaving, paths.valid)[0]
-    assert_allclose(pixels, again, rtol=0, atol=1e-9)
+    assert_allclose(pixels, camera.pixels_of(paths.leaving, paths.valid)[0], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("lens", [Distortion(), BROWN])
@@ -64,8 +63,7 @@ def test_projection_is_opencv_s_tilted_one(tilt: tuple[float, float], lens: Dist
     assert valid.mean() > 0.99
     there = seen_by_opencv(camera, points)
     assert_allclose(pixels[valid], there[valid], rtol=0, atol=1e-9)
-    upright = replace(camera, tilt_deg=UPRIGHT).project(points)[0]
-    assert np.abs(upright - there)[valid].max() > 4.0
+    assert np.abs(replace(camera, tilt_deg=UPRIGHT).project(points)[0] - there)[valid].max() > 4.0
 
 
 @pytest.mark.parametrize("wall", [None, GLASS, TILTED])
@@ -76,8 +74,7 @@ def test_lines_of_sight_pass_through_the_points_that_they_show(wall: Wall | None
     rays = camera.back_project(pixels[valid])
     assert rays.valid.all()
     offset = points[valid] - rays.origins_mm
-    along = np.einsum("ij,ij->i", offset, rays.directions)
-    miss = offset - along[:, None] * rays.directions
+    miss = offset - np.einsum("ij,ij->i", offset, rays.directions)[:, None] * rays.directions
     assert np.abs(miss).max() < 1e-9
 
 
@@ -111,16 +108,14 @@ def test_the_plane_in_focus_follows_scheimpflug_and_the_hinge(tilt: tuple[float,
     plane."""
     camera = make_camera(tilt_deg=tilt, principal_distance_mm=5.3)
     distance, focal = camera.principal_distance_mm, camera.focal_length_mm
-    about = Rotation.from_euler("XY", tilt, degrees=True)
-    normal = about.apply([0.0, 0.0, 1.0])
+    normal = Rotation.from_euler("XY", tilt, degrees=True).apply([0.0, 0.0, 1.0])
     directions = np.array([[0.1, 0.2], [-0.3, 0.1], [0.05, -0.2]])
     inverse = 1.0 / camera.focus_mm - directions @ focus_slope(tilt) / distance
     sharp = np.column_stack([directions, np.ones(3)]) / inverse[:, None]
     plane = np.append(np.linalg.solve(sharp, np.ones(3)), -1.0)  # a x + b y + c z - 1 = 0
     # the sensor stands at z = -distance: normal . (x + (0, 0, distance)) = 0
     sensor = np.append(normal, normal[2] * distance)
-    hinge = np.append(normal, 0.0)
-    for other, depth in ((sensor, 0.0), (hinge, focal)):
+    for other, depth in ((sensor, 0.0), (np.append(normal, 0.0), focal)):
         ours, theirs = ([p[0], p[1], p[2] * depth + p[3]] for p in (plane, other))
         assert_allclose(np.cross(ours, theirs), 0.0, atol=1e-12)
 
@@ -160,6 +155,5 @@ def test_renderers_have_the_rays_of_tilted_cameras() -> None:
     inverse = 1.0 / camera.focus_mm - image @ focus_slope(camera.tilt_deg) / 88.0
     sharp = exact / (forward * inverse)[:, None]  # where all rays of a pixel meet
     offset = sharp - np.array(aside.o).T
-    direction = np.array(aside.d).T
-    cross = np.cross(offset / np.linalg.norm(offset, axis=1, keepdims=True), direction)
+    cross = np.cross(offset / np.linalg.norm(offset, axis=1, keepdims=True), np.array(aside.d).T)
     assert np.abs(cross).max() < 5e-6

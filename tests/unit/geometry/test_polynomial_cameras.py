@@ -47,8 +47,7 @@ def test_what_is_lost_without_refraction(kind: int, most: float) -> None:
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-20.0, 20.0, (1000, 2)), rng.uniform(15.0, 55.0, 1000)])
     off = fitted(camera)[kind].project(points)[0] - camera.project(points)[0]
-    errors = np.linalg.norm(off, axis=1)
-    assert 0.0005 < errors.mean() < most
+    assert 0.0005 < np.linalg.norm(off, axis=1).mean() < most
 
 
 def test_a_camera_in_air_is_projective() -> None:
@@ -110,8 +109,7 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
 @pytest.mark.slow
 def test_reconstruction_runs_on_polynomials() -> None:
     """Refocusing agrees as far as the cameras do."""
-    shot = simulate(make_scene(particles={"count": 40}), seed=2)
-    seen = shot.observation
+    seen = simulate(make_scene(particles={"count": 40}), seed=2).observation
     low = np.asarray(seen.grid.low_mm)
     high = low + (np.asarray(seen.grid.shape[::-1]) - 1) * np.asarray(seen.grid.voxel_mm)
     axes = [np.linspace(a - 0.5, b + 0.5, 7) for a, b in zip(low, high, strict=True)]
@@ -134,8 +132,7 @@ def test_a_mirrored_or_turned_camera_has_the_same_centre() -> None:
     centre = fit_soloff(camera.name, *size, points, pixels).center_mm
     for mirror in ([True, False], [False, True]):
         image = np.where(mirror, last - pixels, pixels)
-        mirrored = fit_soloff(camera.name, *size, points, image).center_mm
-        assert_allclose(mirrored, centre, rtol=1e-7)
+        assert_allclose(fit_soloff(camera.name, *size, points, image).center_mm, centre, rtol=1e-7)
     turned = fit_soloff(camera.name, *size[::-1], points, pixels[:, ::-1]).center_mm
     assert_allclose(turned, centre, rtol=1e-7)
 

@@ -138,8 +138,7 @@ def test_back_projection_returns_to_the_point(wall: Wall) -> None:
     rays = camera.back_project(pixels)
     assert valid.all()
     assert rays.valid.all()
-    miss = np.linalg.norm(np.cross(points - rays.origins_mm, rays.directions), axis=1)
-    assert miss.max() < 1e-9
+    assert np.linalg.norm(np.cross(points - rays.origins_mm, rays.directions), axis=1).max() < 1e-9
     assert_allclose(wall.depth_of(rays.origins_mm), wall.thickness_mm, rtol=0, atol=1e-9)
     assert_allclose(np.linalg.norm(rays.directions, axis=1), 1.0, rtol=0, atol=1e-14)
 
@@ -223,8 +222,7 @@ def test_scaling_all_lengths_or_all_indices_changes_no_direction() -> None:
     pinhole = np.array([5.0, 9.0, -300.0])
     plain = trace_to_points(make_wall([1.0, 1.5, 1.333], [5.0]), pinhole, points)
     larger = trace_to_points(make_wall([1.0, 1.5, 1.333], [35.0]), 7.0 * pinhole, 7.0 * points)
-    denser = trace_to_points(make_wall([1.3, 1.95, 1.7329], [5.0]), pinhole, points)
-    for other in (larger, denser):
+    for other in (larger, trace_to_points(make_wall([1.3, 1.95, 1.7329], [5.0]), pinhole, points)):
         assert_allclose(other.leaving, plain.leaving, rtol=0, atol=1e-14)
         assert_allclose(other.arriving, plain.arriving, rtol=0, atol=1e-14)
 

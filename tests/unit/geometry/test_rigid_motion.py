@@ -80,8 +80,7 @@ def test_axes_follow_the_view() -> None:
     cameras = build_rig(load_scene("quick")).cameras
     assert_array_equal(viewing_axes(cameras), np.eye(3))
     for axes in axis_rotations():
-        turned = [turn_camera(camera, axes) for camera in cameras]
-        assert_array_equal(viewing_axes(turned), axes.T)
+        assert_array_equal(viewing_axes([turn_camera(camera, axes) for camera in cameras]), axes.T)
 
 
 def test_turned_grids_hold_the_same_voxels() -> None:

@@ -20,8 +20,7 @@ def test_pixels_of_a_plane_are_a_square_grid_about_its_centre() -> None:
     assert points.shape == (9, 15, 3)
     assert_allclose(points.mean(axis=(0, 1)), POSE["center_mm"], atol=1e-12)
     for axis in (0, 1):
-        step = np.linalg.norm(np.diff(points, axis=axis), axis=-1)
-        assert_allclose(step, 0.5, atol=1e-12)
+        assert_allclose(np.linalg.norm(np.diff(points, axis=axis), axis=-1), 0.5, atol=1e-12)
     expected = np.broadcast_to(made.pose.rotation[:, 2], points.shape)
     assert_allclose(normals_of(points), expected, atol=1e-12)
 
@@ -52,8 +51,7 @@ def test_bending_keeps_the_thickness() -> None:
     plate = np.array([[4.0, 1.0, 0.0], [4.0, 1.0, 0.3]])
     low, high = bend(plate, 9.0)
     assert np.linalg.norm(high - low) == pytest.approx(0.3)
-    center = np.array([0.0, 1.0, 9.0])
-    assert np.linalg.norm(high - center) == pytest.approx(9.0 - 0.3)
+    assert np.linalg.norm(high - np.array([0.0, 1.0, 9.0])) == pytest.approx(9.0 - 0.3)
     with refused("radius_mm", "1.273", "8"):
         bend(plate, 0.0)
 

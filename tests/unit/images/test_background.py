@@ -7,12 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from sabench.algorithms.particles.obstacles import find_dark_areas
-from sabench.images.background import (
-    clear_images,
-    estimate_background,
-    find_bright_spots,
-    find_patches,
-)
+from sabench.images import background
 from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64
 from tests.unit.images import test_widths
@@ -32,7 +27,7 @@ def image(per_pixel: float, seed: int, spread: float = 0.3, across: F64 | None =
 def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
     ramp = np.linspace(20.0, 60.0, COLUMNS, dtype=np.float32)[None, :] * np.ones((ROWS, 1))
     shown = (image(per_pixel, 1) + ramp).astype(np.float32)
-    found: Any = estimate_background(shown, np.ones(shown.shape, dtype=np.bool_))
+    found: Any = background.estimate_background(shown, np.ones(shown.shape, dtype=np.bool_))
     apart = (found - ramp)[24:-24, 24:-24]
     assert np.abs(np.median(apart)) < NOISE
     assert np.percentile(np.abs(apart), 95) < 2.0 * NOISE
@@ -42,7 +37,7 @@ def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixel: float) -> None:
     shown = image(per_pixel, 2, spread=0.6)[None]
-    cleared, flaws = clear_images(shown, Flaws.none(shown.shape))
+    cleared, flaws = background.clear_images(shown, Flaws.none(shown.shape))
     assert_array_equal(cleared, shown)
     assert not flaws.unknown.any()
 
@@ -54,7 +49,7 @@ def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> 
     glints = [test_widths.glint(*one, (ROWS, COLUMNS)) for one in centers]
     light = 2000.0 * np.sum(glints, axis=0)  # thirty times a particle's peak
     shown = (image(per_pixel, 3) + light).astype(np.float32)[None]
-    _, flaws = clear_images(shown, Flaws.none(shown.shape))
+    _, flaws = background.clear_images(shown, Flaws.none(shown.shape))
     covered = flaws.covered[0]
     assert covered[light > 0.02 * light.max()].all()
     assert covered.mean() < 0.02
@@ -67,7 +62,9 @@ def test_patches_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> No
     shown, patches = image(per_pixel, 5), np.zeros((ROWS, COLUMNS))
     patches[40:80, 60:100] = patches[150:190, 201:241] = 12.0
     patches[70:110, 85:125] = 16.0  # over the first one's corner
-    found = find_patches((shown + patches).astype(np.float32), np.ones(shown.shape, dtype=bool))
+    found = background.find_patches(
+        (shown + patches).astype(np.float32), np.ones(shown.shape, dtype=bool)
+    )
     inside = patches > 0.0
     apart = (found - patches)[inside]
     assert np.abs(np.median(apart)) < NOISE
@@ -79,11 +76,11 @@ def test_patches_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> No
 def test_dense_particles_are_no_patches() -> None:
     for per_pixel in (0.1, 0.2):
         shown = image(per_pixel, 6)
-        found = find_patches(shown, np.ones(shown.shape, dtype=bool))
+        found = background.find_patches(shown, np.ones(shown.shape, dtype=bool))
         assert np.mean(found > 0.0) < 0.01
     shown = image(0.12, 8)  # a volume that fills a part of the image
     shown[:, : COLUMNS // 2] = image(0.0, 9)[:, : COLUMNS // 2]
-    assert np.mean(find_patches(shown, np.ones(shown.shape, dtype=bool)) > 0.0) < 0.005
+    assert np.mean(background.find_patches(shown, np.ones(shown.shape, dtype=bool)) > 0.0) < 0.005
 
 
 @pytest.mark.slow
@@ -92,14 +89,13 @@ def test_particles_that_leave_nothing_dark_are_no_patches(seed: int) -> None:
     """They are denser in the middle, as before a camera whose view passes the volume's edges."""
     across = np.random.default_rng(seed).triangular(-60.0, COLUMNS / 2, COLUMNS + 60.0, 60_000)
     shown = image(0.6, seed, across=across)
-    found = find_patches(shown, np.ones(shown.shape, dtype=bool))
-    assert not found.any()
+    assert not background.find_patches(shown, np.ones(shown.shape, dtype=bool)).any()
 
 
 def test_spots_of_nothing_are_none() -> None:
     none = np.zeros((ROWS, COLUMNS), dtype=np.float32)
-    assert not find_bright_spots(none, np.ones(none.shape, dtype=np.bool_)).any()
-    assert not find_bright_spots(none, np.zeros(none.shape, dtype=np.bool_)).any()
+    assert not background.find_bright_spots(none, np.ones(none.shape, dtype=np.bool_)).any()
+    assert not background.find_bright_spots(none, np.zeros(none.shape, dtype=np.bool_)).any()
 
 
 def test_areas_that_show_nothing_are_dark() -> None:

@@ -35,8 +35,7 @@ def test_false_alarms_are_as_rare_as_stated(name: str) -> None:
 
 
 def test_the_rate_follows_what_is_stated() -> None:
-    rng = np.random.default_rng(4)
-    image = grey(normal(rng, 500.0, 20.0))
+    image = grey(normal(np.random.default_rng(4), 500.0, 20.0))
     for stated in (1e-3, 1e-4):
         share = (image >= measure_dark_noise(image[None]).threshold(stated)).mean()
         assert 0.6 * stated < share < 1.6 * stated
@@ -54,8 +53,7 @@ def particles(count: int, seed: int = 5) -> tuple[F64, F64]:
 def test_particles_hardly_change_the_noise(
     black: float, noise: float, bits: int, count: int
 ) -> None:
-    rng = np.random.default_rng(6)
-    image = grey(normal(rng, black, noise) + 100.0 * particles(count)[1], bits)
+    image = grey(normal(np.random.default_rng(6), black, noise) + 100.0 * particles(count)[1], bits)
     found = measure_dark_noise(image[None])
     assert abs(np.median(found.level) - black) < 0.3
     assert np.median(found.noise) == pytest.approx(noise, rel=0.12)
@@ -120,8 +118,7 @@ def test_forty_particles_of_a_recording_cut_at_black_are_forty_peaks() -> None:
 def test_level_and_noise_are_those_of_their_place() -> None:
     rng = np.random.default_rng(8)
     x = np.linspace(0.0, 1.0, 512)
-    image = grey(normal(rng, 100.0 + 300.0 * x, 3.0 + 9.0 * x))
-    found = measure_dark_noise(image[None])
+    found = measure_dark_noise(grey(normal(rng, 100.0 + 300.0 * x, 3.0 + 9.0 * x))[None])
     assert np.abs(found.level - (100.0 + 300.0 * x)).max() < 6.0
     assert np.abs(found.noise / (3.0 + 9.0 * x) - 1.0).max() < 0.35
 
@@ -134,13 +131,11 @@ def test_several_frames_tell_more_than_one() -> None:
 
 
 def test_pixels_that_do_not_count_change_nothing() -> None:
-    rng = np.random.default_rng(10)
-    image = grey(normal(rng, 64.0, 2.0))
+    image = grey(normal(np.random.default_rng(10), 64.0, 2.0))
     known = np.ones(image.shape, dtype=np.bool_)
     known[:200] = False
     image[:200] = 4000
-    found = measure_dark_noise(image[None], known)
-    assert found.noise[300:].max() < 2.6
+    assert measure_dark_noise(image[None], known).noise[300:].max() < 2.6
     assert len(detect_particle_peaks(image, ~known).pixels) < 12
 
 
@@ -159,8 +154,7 @@ def test_sharp_particle_images_are_no_hot_pixels(sigma_px: float) -> None:
     light = np.zeros((512, 512))
     for (column, row), x, y in zip(place, across, down, strict=True):
         light[row - 4 : row + 5, column - 4 : column + 5] += 400.0 * y[:, None] * x
-    peaks = detect_particle_peaks(grey(normal(rng, 64.0, 2.0) + light)).pixels
-    assert len(peaks) > 560
+    assert len(detect_particle_peaks(grey(normal(rng, 64.0, 2.0) + light)).pixels) > 560
 
 
 @pytest.mark.parametrize("value", [0, 7, 65535])
@@ -186,8 +180,7 @@ def test_grey_values_in_steps_count_as_steps() -> None:
 
 
 def test_smoothed_noise_is_measured_by_its_spread_not_by_its_differences() -> None:
-    rng = np.random.default_rng(15)
-    image = grey(100.0 + gaussian_filter(normal(rng, 0.0, 40.0), 1.0))
+    image = grey(100.0 + gaussian_filter(normal(np.random.default_rng(15), 0.0, 40.0), 1.0))
     assert np.median(measure_dark_noise(image[None]).noise) == pytest.approx(11.3, rel=0.1)
 
 

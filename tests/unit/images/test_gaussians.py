@@ -31,8 +31,7 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
         assert not slopes[pixels:].any()
         edges = (first - 0.5 - center + np.arange(pixels + 1)) / sigma
         density = np.exp(-0.5 * edges**2) / np.sqrt(2.0 * np.pi)
-        error = np.abs(slopes[:pixels] * sigma + np.diff(density)).max()
-        assert error <= 4e-8 + 2 * rounding
+        assert np.abs(slopes[:pixels] * sigma + np.diff(density)).max() <= 4e-8 + 2 * rounding
 
 
 @pytest.mark.parametrize("sigma", [0.3, 0.8, 2.5])
@@ -106,8 +105,7 @@ def test_the_bound_is_the_inverse_of_the_whole_information(count: int) -> None:
     found = position_bounds(_cameras(position, light), np.arange(count))
     slopes = _slopes(position, light) / _NOISE
     covariance = np.linalg.inv(slopes.T @ slopes).reshape(count, 4, count, 4)
-    expected = [covariance[n, :3, n, :3] for n in range(count)]
-    assert_allclose(found, expected, rtol=5e-3, atol=1e-8)
+    assert_allclose(found, [covariance[n, :3, n, :3] for n in range(count)], rtol=5e-3, atol=1e-8)
 
 
 def test_particles_that_the_images_do_not_fix_have_no_bound() -> None:

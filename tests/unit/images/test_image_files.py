@@ -71,8 +71,7 @@ SHAPE = (20, 32)
 
 
 def stack(count: int = 3, most: int = 4000) -> U16:
-    values = np.random.default_rng(4).integers(0, most, (count, *SHAPE))
-    return np.asarray(values, dtype=np.uint16)
+    return np.asarray(np.random.default_rng(4).integers(0, most, (count, *SHAPE)), dtype=np.uint16)
 
 
 def read(*files: Path, raw: RawLayout | None = None) -> U16:
@@ -117,8 +116,7 @@ def test_images_of_8_bits(suffix: str, tmp_path: Path) -> None:
     import cv2
 
     value = stack(1, 255)[0].astype(np.uint8)
-    colours = np.repeat(value[..., None], 3, axis=2)
-    for name, image in (("grey", value), ("rgb", colours)):
+    for name, image in (("grey", value), ("rgb", np.repeat(value[..., None], 3, axis=2))):
         if suffix == "pgm" and name == "rgb":
             continue
         cv2.imwrite(str(tmp_path / f"{name}.{suffix}"), image)

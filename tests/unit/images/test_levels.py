@@ -27,8 +27,7 @@ def recording(noise: float, per_pixel: float, black: float = 64.0) -> F64:
     for _ in range(int(per_pixel * shape[0] * shape[1])):
         row, column = rng.integers(0, shape[0]), rng.integers(0, shape[1])
         light[row : row + 9, column : column + 9] += rng.exponential(400.0) * spot
-    grey = light[4:-4, 4:-4] + black + noise * rng.standard_normal(shape)
-    return np.clip(np.rint(grey), 0, 4095)
+    return np.clip(np.rint(light[4:-4, 4:-4] + black + noise * rng.standard_normal(shape)), 0, 4095)
 
 
 @pytest.mark.parametrize(("noise", "per_pixel"), [(0.3, 0.001), (1.5, 0.02), (6.0, 0.05)])
@@ -64,8 +63,7 @@ def test_images_without_contrast(value: float) -> None:
 
 
 def test_neighbours_are_those_of_all_pairs() -> None:
-    rng = np.random.default_rng(3)
-    pixels = rng.uniform(0.0, 60.0, (3, 400, 2))
+    pixels = np.random.default_rng(3).uniform(0.0, 60.0, (3, 400, 2))
     pixels[0, 5], pixels[1, 7], pixels[2, :, 1] = np.nan, [1e7, -1e9], 4.0
     reach = np.array([1.5, 3.0, 0.2])
     starts, near = near_images(pixels, reach)

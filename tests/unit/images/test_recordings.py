@@ -13,8 +13,7 @@ from tests.helpers.refusals import refused
 
 
 def image(most: int = 255, shape: tuple[int, int] = (24, 30), seed: int = 0) -> U16:
-    rng = np.random.default_rng(seed)
-    values = rng.integers(0, most + 1, shape)
+    values = np.random.default_rng(seed).integers(0, most + 1, shape)
     values[0, 0] = most
     return values.astype(np.uint16)
 
@@ -28,8 +27,7 @@ def write(path: Path, grey: U16, depth: type = np.uint16) -> None:
 def test_a_folder_for_each_camera(tmp_path: Path, ending: str) -> None:
     for camera in ("left", "right"):
         for number in (10, 9, 8):
-            path = tmp_path / camera / f"run2_{number}.{ending}"
-            write(path, image(seed=number), np.uint8)
+            write(tmp_path / camera / f"run2_{number}.{ending}", image(seed=number), np.uint8)
     (tmp_path / "left" / "notes.txt").write_text("mine")
     left, right = read_recordings(tmp_path, 2)
     assert (left.name, right.name) == ("left", "right")

@@ -40,8 +40,7 @@ def test_particles_of_any_width_are_not_taken_for_flaws(sigma_px: float, per_pix
 @pytest.mark.parametrize("light", [3.0, 40.0])
 def test_hot_pixels_are_found(sigma_px: float, light: float) -> None:
     image = particles(sigma_px, 0.01)
-    rng = np.random.default_rng(1)
-    hot = rng.random(_SHAPE) < 2e-3
+    hot = np.random.default_rng(1).random(_SHAPE) < 2e-3
     hot[40, 60] = hot[40, 61] = True  # two that touch
     image[hot] = np.minimum(_BLACK + light * _PEAK, _WHITE)
     found = find_points(image, _BLACK)
@@ -107,5 +106,4 @@ def test_the_scale_does_not_follow_one_bright_thing(flaw: str) -> None:
         for one, unknown in zip(repaired.images, repaired.flaws.unknown, strict=True)
     ]
     assert scales[1] == pytest.approx(scales[0], rel=0.15)
-    light = normalise(repaired.images, _BLACK, repaired.flaws.unknown)
-    assert light[0].max() < 6.0
+    assert normalise(repaired.images, _BLACK, repaired.flaws.unknown)[0].max() < 6.0

@@ -27,8 +27,7 @@ def test_fixed_and_temporal_noise_differ(fixed: float, temporal: float, frames: 
 
 def test_smooth_light_counts_as_fixed_but_not_from_pixel_to_pixel() -> None:
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    slope = 0.2 * np.hypot(row, column)
-    found = statistics.measure_noise(stack(1.0, 1.0, 12, slope))
+    found = statistics.measure_noise(stack(1.0, 1.0, 12, 0.2 * np.hypot(row, column)))
     assert found[0] > 8.0
     assert found[1] == pytest.approx(1.0, abs=0.15)
 
@@ -48,8 +47,7 @@ def test_passing_particles_do_not_count_as_noise() -> None:
 
 def test_a_camera_s_statistics_are_those_drawn() -> None:
     light, nodes, _ = lattice(0.5, 0.5, 200.0, spread=0.3)
-    rng = np.random.default_rng(2)
-    frames = np.rint(light + 30.0 + rng.standard_normal((3, *SHAPE)))
+    frames = np.rint(light + 30.0 + np.random.default_rng(2).standard_normal((3, *SHAPE)))
     frames[:, :22, :26] = 255
     found = statistics.measure_camera(list(np.clip(frames, 0, 255).astype(np.uint16)), 255.0)
     assert found.saturated == pytest.approx(0.01, abs=2e-3)
@@ -128,8 +126,7 @@ def lattice(
 
 
 def record(light: F64, noise: float = 1.0, background: float = 20.0) -> U16:
-    rng = np.random.default_rng(7)
-    grey = light + background + noise * rng.standard_normal(light.shape)
+    grey = light + background + noise * np.random.default_rng(7).standard_normal(light.shape)
     return np.clip(np.rint(grey), 0, 65535).astype(np.uint16)
 
 

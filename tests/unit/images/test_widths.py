@@ -50,8 +50,7 @@ def image(
     ("per_pixel", "sigma"), [(0.05, (0.9, 0.7)), (0.005, (0.5, 0.6)), (0.2, (0.5, 0.6))]
 )
 def test_widths_hold_at_any_density(per_pixel: float, sigma: tuple[float, float]) -> None:
-    images = image(per_pixel, sigma, 3)[None]
-    found = measured(images)
+    found = measured(image(per_pixel, sigma, 3)[None])
     assert_allclose(found.sigma[0], sigma, rtol=0.06)
     assert found.light[0] == pytest.approx(200.0, rel=0.06)
     assert found.number == pytest.approx(per_pixel * ROWS * COLUMNS, rel=0.08)
@@ -62,8 +61,7 @@ def drawn(kernel: F64, per_pixel: float, light: float) -> F64:
     rng, size = np.random.default_rng(9), (ROWS * FINE, COLUMNS * FINE)
     points = np.zeros(size)
     count = int(per_pixel * ROWS * COLUMNS)
-    places = tuple(rng.integers(edge, size=count) for edge in size)
-    np.add.at(points, places, light)
+    np.add.at(points, tuple(rng.integers(edge, size=count) for edge in size), light)
     shown = fftconvolve(points, kernel / kernel.sum(), mode="same")
     shown = shown.reshape(ROWS, FINE, COLUMNS, FINE).sum(axis=(1, 3))
     return np.asarray(shown + 2.0 * rng.standard_normal(shown.shape))
@@ -100,8 +98,7 @@ def test_discs_are_measured_as_flat(
     per_pixel: float, radius: float, width: float, flatness: float, scatter: float
 ) -> None:
     """Of flatter discs, the flatness shows better."""
-    images = drawn(disc(radius), per_pixel, 1000.0)[None]
-    sigma_x, sigma_y, flat = measured(images).flat[0]
+    sigma_x, sigma_y, flat = measured(drawn(disc(radius), per_pixel, 1000.0)[None]).flat[0]
     assert [sigma_x, sigma_y] == pytest.approx([width, width], rel=0.06)
     assert flat == pytest.approx(flatness, abs=scatter)
 
@@ -111,8 +108,7 @@ def test_discs_are_measured_as_flat(
     ("per_pixel", "sigma"), [(0.2, (0.5, 0.6)), (0.05, (1.0, 1.0)), (0.005, (1.6, 1.2))]
 )
 def test_gaussians_are_not_flat(per_pixel: float, sigma: tuple[float, float]) -> None:
-    images = image(per_pixel, sigma, 3)[None]
-    assert not measured(images).flat.any()
+    assert not measured(image(per_pixel, sigma, 3)[None]).flat.any()
 
 
 @pytest.mark.slow
@@ -135,13 +131,11 @@ def test_widths_hold_where_particles_are_denser_in_the_middle(per_pixel: float) 
     """As before a camera whose view passes the edges of the volume."""
     across = np.random.default_rng(8).triangular(0.0, COLUMNS / 2, COLUMNS, 120_000)
     images = image(per_pixel, (0.7, 0.7), 8, across=across)[None]
-    found = measured(images)
-    assert_allclose(found.sigma[0], 0.7, rtol=0.05)
+    assert_allclose(measured(images).sigma[0], 0.7, rtol=0.05)
 
 
 def test_unequal_particles_count_by_their_light() -> None:
-    images = image(0.05, (0.7, 0.7), 4, spread=0.4)[None]
-    found = measured(images)
+    found = measured(image(0.05, (0.7, 0.7), 4, spread=0.4)[None])
     assert found.light[0] == pytest.approx(200.0 * np.exp(0.4**2), rel=0.08)
 
 
@@ -194,8 +188,7 @@ def test_few_particles_before_a_background_taken_too_high_have_their_light() -> 
 @pytest.mark.parametrize("peak", [500.0, 2000.0, 60000.0])
 def test_a_small_glint_does_not_change_the_width_of_few_particles(peak: float) -> None:
     shown = image(0.001, (0.6, 0.5), 9)
-    both = np.array([shown, shown + peak * glint(70, 90, 1.1)])
-    plain, with_glint = measured(both).sigma
+    plain, with_glint = measured(np.array([shown, shown + peak * glint(70, 90, 1.1)])).sigma
     assert_allclose(plain, (0.6, 0.5), rtol=0.06)
     assert_allclose(with_glint, plain, rtol=0.08)
 

@@ -203,25 +203,21 @@ def test_a_printed_rotation_is_made_orthonormal_and_said(tmp_path: Path) -> None
     assert difference_px(found, CAMERAS, read_world(root)) < 0.01
 
 
-def exchange_indices(root: Path) -> None:
-    wall = CAMERAS[0].wall
-    assert wall is not None
-    glass, water = wall.layers[0].index, wall.fluid_index
-    edit(root / "parameters" / "ptv.par", f"{glass}\n{water}", f"{water}\n{glass}")
-
-
 def test_points_tell_exchanged_indices(tmp_path: Path) -> None:
     root = openptv_project(tmp_path / "out")
     points = read_world(root).into(POINTS)
     pixels = np.stack([camera.project(POINTS)[0] for camera in CAMERAS])
     pixels[1, 3:9] = np.nan
+    wall = CAMERAS[0].wall
+    assert wall is not None
+    glass, water = wall.layers[0].index, wall.fluid_index
     for exchanged in (False, True):
         with pytest.warns(ForeignFormatWarning) as said:
             found = read_cameras(root, "openptv", points=(points, pixels))
         check_sentence(" ".join(str(one.message) for one in said))
         assert difference_px(found, CAMERAS, read_world(root)) < NEAR_PX
         if not exchanged:
-            exchange_indices(root)
+            edit(root / "parameters" / "ptv.par", f"{glass}\n{water}", f"{water}\n{glass}")
     with refused("(4, 200, 2)"):
         read_cameras(root, "openptv", points=(points, pixels[:2]))
 
@@ -292,8 +288,7 @@ def test_opencv_projects_as_we_read_it(suffix: str, count: int, tmp_path: Path) 
     rotation, move = write_opencv(tmp_path / f"left{suffix}", bent, matrix)
     (camera,) = read_cameras(tmp_path, "opencv", size=SIZE)
     points = np.random.default_rng(2).uniform(-20.0, 20.0, (100, 3))
-    turn = cv2.Rodrigues(rotation)[0]
-    pixels = cv2.projectPoints(points, turn, move, matrix, bent)[0][:, 0]
+    pixels = cv2.projectPoints(points, cv2.Rodrigues(rotation)[0], move, matrix, bent)[0][:, 0]
     assert isinstance(camera, CentralCamera)
     assert camera.name == "left"
     assert np.abs(camera.project(points)[0] - pixels).max() < NEAR_PX

@@ -60,8 +60,7 @@ def test_particles_come_back(form: TrackFormat, tmp_path: Path) -> None:
     true = particles()
     write(tmp_path / "out", true, form)
     found = read(tmp_path / "out", form)
-    frame = found.frame - found.frame[0]
-    np.testing.assert_array_equal(frame, true.frame)
+    np.testing.assert_array_equal(found.frame - found.frame[0], true.frame)
     np.testing.assert_array_equal(found.position_mm, true.position_mm)
     assert links(found) == links(true)
     if form in ("myptv", "netcdf", "mat", "csv"):  # these hold velocities
@@ -224,8 +223,7 @@ def test_older_matlab_files_are_read(tmp_path: Path) -> None:
     true = particles()
     columns = dict(zip("xyz", true.position_mm.T[:, :, None], strict=True))
     savemat(tmp_path / "old.mat", {"frame": true.frame[:, None], "note": "hello", **columns})
-    found = read(tmp_path / "old.mat", "mat")
-    np.testing.assert_array_equal(found.position_mm, true.position_mm)
+    np.testing.assert_array_equal(read(tmp_path / "old.mat", "mat").position_mm, true.position_mm)
 
 
 def test_myptvs_hdf5_is_read(tmp_path: Path) -> None:
@@ -259,8 +257,7 @@ def test_netcdf4_reads_our_tracks(tmp_path: Path) -> None:
         for name, values in {"frame": [0, 1], "x": [1.0, 2.0], "y": [3, 4], "z": [5, 6]}.items():
             file.createVariable(name, "f8", ("obs",))[:] = np.array(values, dtype=float)
         file["x"].units = "m"
-    found = read(tmp_path / "four.nc", "netcdf")
-    assert found.position_mm[:, 0].tolist() == [1000.0, 2000.0]
+    assert read(tmp_path / "four.nc", "netcdf").position_mm[:, 0].tolist() == [1000.0, 2000.0]
 
 
 @pytest.mark.parametrize(

@@ -77,8 +77,7 @@ def test_every_visible_bubble_has_its_mask_and_box(data: Dataset, coco: Path) ->
 
 @pytest.mark.slow
 def test_images_show_what_the_camera_recorded(data: Dataset, coco: Path) -> None:
-    values = json.loads((coco / "annotations.json").read_text())
-    file = coco / values["images"][2]["file_name"]
+    file = coco / json.loads((coco / "annotations.json").read_text())["images"][2]["file_name"]
     image = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
     raw = data.raw_image(2, 0).astype(np.float64)
     assert image.shape == raw.shape
@@ -93,8 +92,7 @@ def test_pycocotools_reads_it(data: Dataset, coco: Path) -> None:
     evaluation = pytest.importorskip("pycocotools.cocoeval")
     with contextlib.redirect_stdout(io.StringIO()):
         true = tools.COCO(str(coco / "annotations.json"))
-        own = true.loadAnns(true.getAnnIds(imgIds=[1]))
-        for one in own:
+        for one in true.loadAnns(true.getAnnIds(imgIds=[1])):
             row = data.bubbles(0).id.tolist().index(one["bubble"])
             expected = data.sight(0, data.setup.cameras[0]).number == row
             np.testing.assert_array_equal(true.annToMask(one) > 0, expected)

@@ -25,11 +25,10 @@ from tests.helpers.refusals import refused
 
 def field(count: int = 60, seed: int = 1) -> Detections:
     """Bubbles on a lattice, 10 mm apart."""
-    rng = np.random.default_rng(seed)
     places = 10.0 * np.stack(np.unravel_index(np.arange(count), (4, 5, 4)), axis=1)
     return Detections(
         places.astype(float),
-        rng.uniform(0.3, 2.0, (count, 3)),
+        np.random.default_rng(seed).uniform(0.3, 2.0, (count, 3)),
         Rotation.random(count, random_state=seed).as_matrix(),
     )
 
@@ -178,8 +177,7 @@ def test_scores_of_known_faults() -> None:
         assert larger[key] == pytest.approx(10.0)
     twice = size_scores(np.concatenate([true, true]), true)
     assert max(twice.values()) == pytest.approx(0.0, abs=1e-9)  # sizes, not numbers
-    only_large = size_scores(true[2:], true)
-    assert only_large["sizes_mm"] == pytest.approx((0.8 + 0.5) / 3.0)
+    assert size_scores(true[2:], true)["sizes_mm"] == pytest.approx((0.8 + 0.5) / 3.0)
     assert all(np.isnan(value) for value in size_scores(np.zeros(0), true).values())
 
 

@@ -83,8 +83,7 @@ def test_alignments_take_away_their_motion_and_leave_the_scatter_of_each_axis() 
     along_z = [0.0, 0.0, 0.3]  # no prefix: lateral, in the plane of the wall
     means: dict[str, Any] = {"raw_": shift, "": along_z, "shift_": along_z, "rigid_": [0.0] * 3}
     for how, expected in means.items():
-        found = [scores[f"{how}{axis}_mean_mm"] for axis in "xyz"]
-        assert_allclose(found, expected, atol=1e-9)
+        assert_allclose([scores[f"{how}{axis}_mean_mm"] for axis in "xyz"], expected, atol=1e-9)
     errors = rng.normal(0.0, 0.1, (3, 20, 3)) * [1.0, 2.0, 3.0]
     scores = point_scores(truth + errors, truth, seen, still)
     std = [scores[f"raw_{axis}_std_mm"] for axis in "xyz"]
@@ -95,10 +94,8 @@ def test_alignments_take_away_their_motion_and_leave_the_scatter_of_each_axis() 
 
 def test_points_are_triangulated_from_the_observations_that_were_used() -> None:
     case, cameras, points, _ = case_of(calibration_scene(detection=None))
-    found = target_points(Calibration(cameras), case)
-    assert_allclose(found, points, atol=1e-6)
-    given = Calibration(cameras, points + 1.0)
-    assert_array_equal(target_points(given, case), points + 1.0)
+    assert_allclose(target_points(Calibration(cameras), case), points, atol=1e-6)
+    assert_array_equal(target_points(Calibration(cameras, points + 1.0), case), points + 1.0)
     used = np.ones(case.found.shape, dtype=np.bool_)
     used[1:, 0, 3] = False  # one camera alone sees no depth
     case.pixels[1:, 0, 3] += 5.0  # rejected, but there is nothing else to triangulate

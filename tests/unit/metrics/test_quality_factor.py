@@ -138,9 +138,7 @@ def slow_thesis(detections: F64, truths: F64) -> list[tuple[int, int]]:
     pairs = []
     distance = [[math.dist(d, t) for t in truths] for d in detections]
     for j in range(len(truths)):
-        mine = [
-            (row[j], i) for i, row in enumerate(distance) if row[j] <= 1.5 and row[j] == min(row)
-        ]
+        mine = [(r[j], i) for i, r in enumerate(distance) if r[j] <= 1.5 and r[j] == min(r)]
         pairs += [(min(mine)[1], j)] if mine else []
     return pairs
 

@@ -88,5 +88,4 @@ def test_steps_lead_to_the_brightest_neighbour_up_to_the_faces() -> None:
     step = _find_steps(bright)
     padded = np.pad(bright, 1, constant_values=-1.0)
     for place in np.ndindex(*bright.shape):
-        around = padded[tuple(slice(one, one + 3) for one in place)]
-        assert step[place] == int(around.argmax())
+        assert step[place] == int(padded[tuple(slice(one, one + 3) for one in place)].argmax())

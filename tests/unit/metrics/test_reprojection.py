@@ -72,8 +72,7 @@ def test_unknown_pixels_and_particles_outside_do_not_count() -> None:
     known = KNOWN.copy()
     known[:, :30] = False
     image = np.where(known, image_of(pixels, light), 1e4)
-    outside = np.array([[np.nan, np.nan], [-3.0, 5.0], [200.0, 5.0]])
-    every = np.concatenate([pixels, outside])
+    every = np.concatenate([pixels, np.array([[np.nan, np.nan], [-3.0, 5.0], [200.0, 5.0]])])
     patches = cut_patches(SHAPE, every, SIGMA, known)
     fit = fit_light(image, patches, len(every))
     assert np.isnan(fit.light[-3:]).all()

@@ -122,14 +122,11 @@ def vectors(
 def test_displacements_err_by_the_difference_of_both_ends() -> None:
     """An offset along Y grows by 0.1, 0.3 and 0.1 mm; the last is in another sequence."""
     true, offset = true_bubbles(), [0.0, 0.1, 0.4, 0.5]
-    places = [
-        one.center_mm + np.array([0.0, off, 0.0]) for one, off in zip(true, offset, strict=True)
-    ]
+    places = [b.center_mm + np.array([0.0, off, 0.0]) for b, off in zip(true, offset, strict=True)]
     track = [one.id for one in true]
     got = vectors(places, track)
     assert got["displacement_mm"] == pytest.approx(np.sqrt((0.01 + 0.09 + 0.01) / 3.0))
-    apart = vectors(places, track, [range(2), range(2, 4)])
-    assert apart["displacement_mm"] == pytest.approx(0.1)
+    assert vectors(places, track, [range(2), range(2, 4)])["displacement_mm"] == pytest.approx(0.1)
 
 
 def test_particles_that_are_not_found_are_missed_displacements() -> None:
@@ -139,8 +136,7 @@ def test_particles_that_are_not_found_are_missed_displacements() -> None:
     places[1], track[1] = places[1][:30], track[1][:30]
     assert vectors(places, track)["vector_recall"] == pytest.approx((30 + 30 + 40) / 120)
     track[3] = track[3] + 1000  # no link to the last frame
-    got = vectors(places, track)
-    assert got["vector_recall"] == pytest.approx(60 / 120)
+    assert vectors(places, track)["vector_recall"] == pytest.approx(60 / 120)
     none = vectors([one[:0] for one in places], [one[:0] for one in track])
     assert none["vector_recall"] == 0.0
     assert np.isnan(none["displacement_mm"])

@@ -27,8 +27,7 @@ def linear(slopes: F64) -> F64:
     """A field u_i = sum_j slopes[i, j] x_j on the lattice (z, y, x, 3)."""
     axes = [step * np.arange(count) for step, count in zip(STEP_MM, SHAPE[::-1], strict=True)]
     x, y, z = np.meshgrid(*axes, indexing="ij")
-    points = np.stack([x, y, z], axis=-1).transpose(2, 1, 0, 3)
-    return np.asarray(points @ slopes.T)
+    return np.asarray(np.stack([x, y, z], axis=-1).transpose(2, 1, 0, 3) @ slopes.T)
 
 
 def scores(estimate: F64, truth: F64, valid: Bool | None = None) -> dict[str, float]:
@@ -90,8 +89,7 @@ def shear(points_mm: F64) -> F64:
 
 
 def field_of(step_voxels: float, low_voxels: float = 0.0) -> Velocity:
-    size = np.asarray(GRID.shape[::-1])
-    counts = ((size - 1 - low_voxels) // step_voxels + 1).astype(int)
+    counts = ((np.asarray(GRID.shape[::-1]) - 1 - low_voxels) // step_voxels + 1).astype(int)
     low = triple(np.asarray(GRID.low_mm) + low_voxels * np.asarray(GRID.voxel_mm))
     step = triple(step_voxels * np.asarray(GRID.voxel_mm))
     valid = np.ones(counts[::-1], dtype=np.bool_)
@@ -104,8 +102,7 @@ def nodes() -> F64:
 
 
 def test_nodes_fill_the_scored_part() -> None:
-    points = nodes()
-    voxels = GRID.to_voxels(points)
+    voxels = GRID.to_voxels(nodes())
     assert GRID.in_scored(voxels).all()
     scored = np.asarray(GRID.shape[::-1]) - 2 * np.asarray(GRID.crop)
     middle = (np.asarray(GRID.shape[::-1]) - 1) / 2.0
@@ -120,8 +117,7 @@ def test_nodes_fill_the_scored_part() -> None:
 def test_thin_volumes_have_some_nodes_and_large_ones_not_too_many(
     shape: tuple[int, int, int], counts: tuple[int, int, int]
 ) -> None:
-    lattice = evaluation_lattice(replace(GRID, shape=shape, crop=(0, 0, 0)))
-    assert lattice.valid.shape == counts
+    assert evaluation_lattice(replace(GRID, shape=shape, crop=(0, 0, 0))).valid.shape == counts
 
 
 @pytest.mark.parametrize("step", [1.0, 3.0, 8.0])

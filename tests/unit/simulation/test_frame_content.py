@@ -116,8 +116,7 @@ def test_short_pulses_in_all_exposures_are_recorded_alike() -> None:
 
 def test_continuous_light_shows_particles_where_they_are_when_a_camera_is_open() -> None:
     delay, exposure, light = 2e-3, 0.2e-3, 8e-3
-    timing = {"duration_s": light, "skew_s": skews(c1=delay)}
-    skewed = scene(timing, exposure)
+    skewed = scene({"duration_s": light, "skew_s": skews(c1=delay)}, exposure)
     shot = simulate(skewed, seed=3)
     cameras, place = build_rig(skewed).cameras, shot.particles.position_mm
     np.testing.assert_array_equal(place, make_particles(skewed, 3, 0).position_mm)

@@ -74,11 +74,9 @@ def test_patterns_of_pixels_stay_and_belong_to_one_camera() -> None:
     first, second = (images_of(scene, frame) - images_of(plain, frame) for frame in (0, 1))
     dark = np.maximum(images_of(plain, 0), images_of(plain, 1)) < 1300  # no particle there
     for camera in range(4):
-        here = dark[camera]
-        assert np.abs(first[camera] - second[camera])[here].max() <= 2.0
+        assert np.abs(first[camera] - second[camera])[dark[camera]].max() <= 2.0
         other = dark[camera] & dark[camera - 1]
-        alike = np.corrcoef(first[camera][other], first[camera - 1][other])[0, 1]
-        assert abs(alike) < 0.1
+        assert abs(np.corrcoef(first[camera][other], first[camera - 1][other])[0, 1]) < 0.1
 
 
 def test_smooth_light_glints_and_dust_have_their_sizes() -> None:
@@ -90,8 +88,7 @@ def test_smooth_light_glints_and_dust_have_their_sizes() -> None:
     glints = Background(glints=1, glint_level=1.5, glint_sigma_px=(2.0, 2.0))
     sums = [static_light(glints, (200, 200), np.random.default_rng(n)).sum() for n in range(5)]
     assert max(sums) == pytest.approx(1.5 * 2.0 * np.pi * 4.0, rel=1e-3)
-    dust = Background(dust=30, dust_level=0.05, dust_radius_px=4.0)
-    light = static_light(dust, (300, 300), rng)
+    light = static_light(Background(dust=30, dust_level=0.05, dust_radius_px=4.0), (300, 300), rng)
     assert 0.0 < light.max() < 0.15
     assert 0.3 < (light > 0.0).sum() / (30 * np.pi * 16.0) < 1.3
 

@@ -1,8 +1,6 @@
 """Samples in shards: the same bytes whoever makes them, and splits apart."""
 
 import itertools
-import resource
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -21,7 +19,7 @@ from sabench.simulation.recording import parts as recording_parts
 from sabench.simulation.recording.schedule import RecordingTask, UnfinishedError
 from sabench.simulation.shard_job import stream
 from tests.conftest import Command
-from tests.helpers.commands import refuse, succeed
+from tests.helpers.commands import limit_files, refuse, succeed
 from tests.helpers.refusals import refused
 from tests.helpers.sample_sets import COUNT, SHARES, SIZE, make, scene
 from tests.unit.simulation.test_streaming import make_scene, vary
@@ -86,8 +84,7 @@ def test_more_samples_leave_full_shards_as_they_are() -> None:
 
 @pytest.mark.slow
 def test_the_bytes_do_not_depend_on_workers(whole: SampleSet, tmp_path: Path) -> None:
-    again = make(tmp_path / "again", jobs=2)
-    assert again.content_hash == whole.content_hash
+    assert make(tmp_path / "again", jobs=2).content_hash == whole.content_hash
     assert [path.name for path in tmp_path.iterdir()] == ["again"]
 
 
@@ -189,11 +186,6 @@ shard_job.ShardMaker.__call__ = dies
     assert make(tmp_path / "set").content_hash == whole.content_hash
 
 
-def limit_files() -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-
-
 @pytest.mark.slow
 def test_a_full_disk_ends_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A limit on the size of files stands in for it; the first shard was there before."""
@@ -254,8 +246,7 @@ def test_the_command_says_what_it_made(command: Command, tmp_path: Path) -> None
     assert "validation samples, hash" in done.stdout
     assert "6 samples" in command("verify", "d").stdout
     for shares in ("a/b", "80/20"):
-        again = command("generate", "s.toml", "-o", "d", "--samples", "6", "--split", shares)
-        refuse(again)
+        refuse(command("generate", "s.toml", "-o", "d", "--samples", "6", "--split", shares))
     refuse(command("solve", "msa", "d", "-o", "r.h5"))
 
 

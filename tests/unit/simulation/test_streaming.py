@@ -1,10 +1,7 @@
 """Frames made as they are read."""
 
 import itertools
-import os
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -20,6 +17,7 @@ from sabench.simulation.in_memory import simulate
 from sabench.simulation.recording import parts
 from sabench.simulation.shard_job import Sample, stream, stream_key
 from sabench.utils.errors import InputError
+from tests.helpers.commands import run_python
 from tests.helpers.refusals import check_sentence, refused
 
 
@@ -59,15 +57,13 @@ def test_a_stream_goes_on_anywhere_bit_for_bit_with_any_batch(varied: bool) -> N
     assert [one.number for one in whole] == list(range(20))
     rng = np.random.default_rng(1)
     for start, batch in zip(rng.integers(0, 20, 20).tolist(), itertools.cycle([1, 3, 7])):
-        again = next(stream(scene, seed=4, batch=batch, start=start, samples=20))
-        for one in again.samples:
+        for one in next(stream(scene, seed=4, batch=batch, start=start, samples=20)).samples:
             np.testing.assert_array_equal(one.images, whole[one.number].images)
             assert one.drawn == whole[one.number].drawn
 
 
 def test_a_sample_is_what_simulate_makes_of_its_seed() -> None:
-    scene = make_scene()
-    for one in all_samples(scene, samples=2):
+    for one in all_samples(make_scene(), samples=2):
         shot = simulate(one.scene, seed=one.seed)
         np.testing.assert_array_equal(one.observation().images, shot.observation.images)
         np.testing.assert_array_equal(one.particles[0].position_mm, shot.particles.position_mm)
@@ -83,8 +79,7 @@ def test_samples_differ_and_seeds_differ() -> None:
 
 
 def test_values_that_vary_are_in_the_scene_and_in_the_truth() -> None:
-    scene = make_scene(vary=vary(**VARIED))
-    batch = next(stream(scene, seed=4, batch=12, samples=12))
+    batch = next(stream(make_scene(vary=vary(**VARIED)), seed=4, batch=12, samples=12))
     assert batch.images.shape == (12, 1, 4, 48, 64)
     assert batch.drawn["particles.count"].shape == (12,)
     assert len(np.unique(batch.drawn["sensor.read_noise_e"])) == 12
@@ -113,8 +108,7 @@ def test_draws_follow_their_distributions() -> None:
 
 def test_displacements_are_those_of_the_flow() -> None:
     flow = {"generator": "linear_flow", "velocity_mm_s": [10.0, 0.0, -5.0]}
-    scene = make_scene(flow=flow, frames=2, interval_s=0.01)
-    batch = next(stream(scene, batch=2, samples=2))
+    batch = next(stream(make_scene(flow=flow, frames=2, interval_s=0.01), batch=2, samples=2))
     assert batch.images.shape[1] == 2
     for position, moved in batch.displacements_mm():
         assert len(position) > 200
@@ -247,13 +241,12 @@ def test_a_traced_stream_is_what_simulate_traces_and_as_bright_as_the_analytic_o
 def test_a_traced_stream_on_a_gpu_is_that_on_llvm(tmp_path: Path) -> None:
     made = []
     for kind in ("cuda", "llvm"):
-        words = [sys.executable, "-c", STREAM, str(tmp_path / f"{kind}.npy")]
-        own = os.environ | {"SABENCH_BACKEND": kind}
-        done = subprocess.run(words, env=own, capture_output=True, text=True, check=False)
+        file = tmp_path / f"{kind}.npy"
+        done = run_python("-c", STREAM, file, env={"SABENCH_BACKEND": kind})
         if kind == "cuda" and not done.stdout:
             pytest.skip("needs a CUDA device")
         assert done.returncode == 0, done.stderr
-        made.append(np.load(tmp_path / f"{kind}.npy").astype(float))
+        made.append(np.load(file).astype(float))
     # single precision rounds rays differently: light by less than a grey value
     apart = np.abs(made[0] - made[1])
     assert apart.max() <= 1.0

@@ -26,8 +26,7 @@ def test_a_better_first_score_ranks_before_and_a_missing_one_last(name: str) -> 
     missing = task.rank({**passed, first.key: None})
     assert max(low, high) < missing
     if gate and gate.key != first.key:
-        failed = task.rank({gate.key: 0.99 * gate.least, first.key: 70.0})
-        assert failed == missing
+        assert task.rank({gate.key: 0.99 * gate.least, first.key: 70.0}) == missing
 
 
 def test_far_too_many_detections_are_named() -> None:

@@ -13,15 +13,8 @@ from sabench.evaluation.suite_loading import override
 from sabench.plugins import bundled_folder
 from sabench.scenes import Scene, load_scene
 from sabench.simulation.pipeline import generate
+from sabench.tasks import velocimetry
 from sabench.tasks.solve_and_score import score, solve
-from sabench.tasks.velocimetry import (
-    TASK,
-    LightSheet,
-    light_sheet,
-    score_pair,
-    true_velocity,
-    truth_at,
-)
 from sabench.utils.arrays import F64
 
 CONFORMANCE = bundled_folder("scenes") / "conformance"
@@ -37,8 +30,8 @@ def data_of(tmp_path: Path, changes: dict[str, Any], name: str = "") -> Dataset:
     return open_dataset(tmp_path / "data")
 
 
-def sheet_of(data: Dataset) -> LightSheet:
-    sheet = light_sheet(data)
+def sheet_of(data: Dataset) -> velocimetry.LightSheet:
+    sheet = velocimetry.light_sheet(data)
     assert sheet is not None
     return sheet
 
@@ -67,39 +60,39 @@ def test_the_sheet_is_where_the_pulses_are(tmp_path: Path) -> None:
 
 
 def test_light_of_a_volume_is_no_sheet(tmp_path: Path) -> None:
-    assert light_sheet(data_of(tmp_path, {}, "velocimetry")) is None
+    assert velocimetry.light_sheet(data_of(tmp_path, {}, "velocimetry")) is None
 
 
 def test_only_components_in_the_sheet_count(tmp_path: Path) -> None:
     """Planar estimates and those of volumes are scored alike."""
     flow = {"generator": "linear_flow", "velocity_mm_s": [40.0, -30.0, 20.0]}
     data = data_of(tmp_path, {"flow": flow})
-    nodes = TASK.truth(data, 0)
+    nodes = velocimetry.TASK.truth(data, 0)
     assert nodes.plane_axes is not None
     expected = np.broadcast_to([40.0, -30.0, 0.0], (*nodes.valid.shape, 3))
     np.testing.assert_allclose(nodes.velocity_mm_s, expected)
     everywhere, valid = np.tile([40.0, -30.0, 500.0], (5, 17, 17, 1)), np.ones((5, 17, 17), bool)
     solid = Velocity((-8.0, -8.0, -2.0), (1.0, 1.0, 1.0), everywhere, valid)
-    scores = score_pair(data, (0, 1), solid)
+    scores = velocimetry.score_pair(data, (0, 1), solid)
     assert scores["yield_percent"] == 100.0
     assert scores["rms_voxel"] == pytest.approx(0.0, abs=1e-9)
     solid.velocity_mm_s[:] = [40.0, 30.0, 20.0]
-    assert score_pair(data, (0, 1), solid)["v_p90_voxel"] == pytest.approx(0.06 / 0.05)
+    assert velocimetry.score_pair(data, (0, 1), solid)["v_p90_voxel"] == pytest.approx(0.06 / 0.05)
 
 
 def test_the_truth_of_a_planar_field_is_the_mean_over_the_sheet(tmp_path: Path) -> None:
     """A shear across the sheet cancels, a curvature does not: du/dz^2 by a vortex about X."""
-    changes = {"flow.axis": [1.0, 0.0, 0.0], "illumination.thickness_mm": 1.0}
-    data = data_of(tmp_path, changes)
-    nodes = TASK.empty(data, 0)
+    data = data_of(tmp_path, {"flow.axis": [1.0, 0.0, 0.0], "illumination.thickness_mm": 1.0})
+    nodes = velocimetry.TASK.empty(data, 0)
     thin = sheet_of(data)
     points = nodes.positions_mm.reshape(-1, 3)
     layers = [
-        true_velocity(data, (0, 1), points + z * thin.normal) for z in np.linspace(-0.5, 0.5, 101)
+        velocimetry.true_velocity(data, (0, 1), points + z * thin.normal)
+        for z in np.linspace(-0.5, 0.5, 101)
     ]
     weights = np.r_[0.5, np.ones(99), 0.5]
     mean = np.average(layers, axis=0, weights=weights).reshape(nodes.velocity_mm_s.shape)
-    exact = truth_at(data, (0, 1), nodes)
+    exact = velocimetry.truth_at(data, (0, 1), nodes)
     assert np.abs(exact - mean * [1.0, 1.0, 0.0]).max() < 1e-2 * np.abs(mean).max()
 
 
@@ -123,19 +116,18 @@ def test_a_tilted_sheet_from_the_command_s_parameters_to_scores(tmp_path: Path) 
     assert scores["vorticity_percent"] < 30.0
     assert scores["divergence_1_s"] is None
     assert scores["reconstruction_s"] is None
-    assert TASK.picture(data, open_result(out, data)).startswith(b"\x89PNG")
-    field = open_result(out, data).read(Velocity, 0)
-    np.testing.assert_allclose(field.axes[2], normal, atol=1e-9)
+    assert velocimetry.TASK.picture(data, open_result(out, data)).startswith(b"\x89PNG")
+    np.testing.assert_allclose(open_result(out, data).read(Velocity, 0).axes[2], normal, atol=1e-9)
     solve("piv2d", data, out, parameters={"normal": [0.0, 0.0, 1.0]}, overwrite=True)
     wrong = score(data, out)  # it crosses the light in a line
     assert wrong["yield_percent"] < 20.0
-    assert not TASK.admits(wrong)
+    assert not velocimetry.TASK.admits(wrong)
 
 
 def test_a_planar_field_of_a_lit_volume_measures_little(tmp_path: Path) -> None:
     """It does not rank among fields of the volume."""
     data = data_of(tmp_path, {}, "velocimetry")
-    nodes = TASK.truth(data, 0)
+    nodes = velocimetry.TASK.truth(data, 0)
     middle = len(nodes.valid) // 2
     x, y, z = nodes.low_mm
     low, flow = (x, y, z + middle * nodes.step_mm[2]), nodes.velocity_mm_s[[middle]] * [1, 1, 0]
@@ -144,4 +136,4 @@ def test_a_planar_field_of_a_lit_volume_measures_little(tmp_path: Path) -> None:
         writer.add(plane, 0)
     scores = score(data, tmp_path / "plane.h5")
     assert scores["yield_percent"] < 15.0
-    assert not TASK.admits(scores)
+    assert not velocimetry.TASK.admits(scores)

@@ -39,9 +39,7 @@ def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
     grid = shot.observation.grid
     places = np.column_stack([np.arange(30.0, 60.0, 3.0), np.full(10, 50.0), np.full(10, 10.0)])
     particles = cloud(np.asarray(grid.low_mm) + places * grid.voxel_mm)
-    views = [
-        ParticleView(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10, dtype=np.bool_))
-    ]
+    views = [ParticleView(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10, bool))]
     found = score_frame(grid, particles, views, Reconstruction(true_field(grid, particles, views)))
     assert found["recall"] == pytest.approx(0.0)
     assert found["peak_recall"] == found["peak_precision"] == pytest.approx(1.0)

@@ -79,8 +79,7 @@ def test_numba_stores_kernels_there() -> None:
 
 def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    old = [tmp_path / f"kernels-{number}" for number in range(8)]
-    for number, folder in enumerate(old):
+    for number, folder in enumerate([tmp_path / f"kernels-{number}" for number in range(8)]):
         folder.mkdir()
         used = time.time() - (number > 0) * 86400.0 * (30 - number)
         os.utime(folder, (used, used))

@@ -103,5 +103,4 @@ def test_sums_are_numpys(window: tuple[Any, Any, Any, int], add: Any, pairs: Any
     found = add(*window)
     for place, terms in expected.items():
         assert_allclose(found[place], terms.sum(), rtol=2e-5, atol=5e-4)
-    given = _spared(weight, counts, left + LIGHT * own)
-    assert_allclose(found[GIVEN], given, rtol=2e-5)
+    assert_allclose(found[GIVEN], _spared(weight, counts, left + LIGHT * own), rtol=2e-5)

@@ -256,8 +256,7 @@ def test_flow_is_of_the_bodies_of_the_seed() -> None:
 
 
 def test_bodies_that_move_and_missing_bodies_are_refused() -> None:
-    solid = coarse().to_dict()["solids"][0]
-    moving = coarse(solids=[solid | {"velocity_mm_s": [1.0, 0.0, 0.0]}])
+    moving = coarse(solids=[coarse().to_dict()["solids"][0] | {"velocity_mm_s": [1.0, 0.0, 0.0]}])
     with refused("solids.0"):
         require_flow(moving, 1)
     with refused("solids"):

@@ -88,8 +88,7 @@ def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
 def test_small_glowing_balls_are_found_where_they_are() -> None:
     """Uniformly bright balls that cover less than a thousandth of a noisy image."""
     camera, target = small_camera(), Target("wand", 3, 1, 12.0, 1.0)
-    glow = LAMPS.model_copy(update={"even": 1.0})
-    picture = render(camera, target, POSE, glow, MIDDLE, 16)
+    picture = render(camera, target, POSE, LAMPS.model_copy(update={"even": 1.0}), MIDDLE, 16)
     assert picture.max() == pytest.approx(0.7, rel=0.05)
     found = detect_target(photographed(picture, 50.0, 5.0), target)
     assert np.abs(found - camera.project(POSE(target.points_mm))[0]).max() < 0.15
@@ -98,8 +97,7 @@ def test_small_glowing_balls_are_found_where_they_are() -> None:
 def test_exposure_is_what_was_asked_for() -> None:
     """White in the middle of the volume reaches it; black print 4 % of that."""
     camera, target, facing = small_camera(), BOARDS["circles"], Pose(np.eye(3), MIDDLE)
-    lamps = LAMPS.model_copy(update={"exposure": 0.5})
-    picture = render(camera, target, facing, lamps, MIDDLE, 16)
+    picture = render(camera, target, facing, LAMPS.model_copy(update={"exposure": 0.5}), MIDDLE, 16)
     assert picture.max() == pytest.approx(0.5, rel=0.05)
     column, row = camera.project(facing(target.points_mm))[0][31].round().astype(int)
     assert picture[row, column] == pytest.approx(0.04 * 0.5, rel=0.1)
@@ -133,8 +131,7 @@ def test_a_board_s_points_keep_their_names_however_it_lies(quarters: int) -> Non
     for x, y in np.rint(16.0 * pixels).astype(int).tolist():
         cv2.circle(image, (x, y), 20 * 16, 20, -1, cv2.LINE_AA, 4)
     rough = target.points_mm[:, :2] @ turn.T * 17.0 + [120.0, 410.0]
-    found = detect_target(image.astype(np.uint16) * 10, target, rough)
-    assert_allclose(found, pixels, atol=0.3)
+    assert_allclose(detect_target(image.astype(np.uint16) * 10, target, rough), pixels, atol=0.3)
 
 
 def test_boards_stay_in_the_volume_and_move_through_it() -> None:

@@ -118,9 +118,8 @@ def test_pulses_differ() -> None:
 
 def test_a_sheet_beside_another_lights_other_particles() -> None:
     """Two thin sheets: what the first frame shows bright is dark in the second."""
-    light = {"thickness_mm": 1.0, "profile": "top-hat"}
     timing = {"rate_hz": 10.0, "pulses_s": [0.0, 1e-6], "shift_mm": [-0.6, 0.6]}
-    scene = moving_scene(illumination=light, timing=timing)
+    scene = moving_scene(illumination={"thickness_mm": 1.0, "profile": "top-hat"}, timing=timing)
     frames = [simulate(scene, seed=1, frame=frame) for frame in (0, 1)]
     lit = [set(shot.particles.id[shot.views[0].photons > 0.0].tolist()) for shot in frames]
     assert len(lit[0]) > 20

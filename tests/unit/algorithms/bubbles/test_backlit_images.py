@@ -52,8 +52,7 @@ def test_an_outline_gets_the_votes_of_its_own_radius(radius: float, aspect: floa
 
 def test_attenuation_keeps_the_plane_with_edges() -> None:
     """One window stack with a square in one plane and faint noise elsewhere."""
-    rng = np.random.default_rng(1)
-    volume = (0.05 * rng.random((60, 21, 21))).astype(np.float32)
+    volume = (0.05 * np.random.default_rng(1).random((60, 21, 21))).astype(np.float32)
     volume[37, 8:13, 8:13] = 0.9
     potential = compute_potential(volume, 7)
     assert potential.shape == (60, 3, 3)

@@ -71,9 +71,9 @@ def test_transmission_takes_an_uneven_diffuser_out(observation: Observation) -> 
 def test_votes_are_sampled_at_their_pixel_and_radius() -> None:
     maps: Any = np.random.default_rng(1).random((5, 7, 9)).astype(np.float32)
     pixels = np.array([[3.4, 5.6], [8.4, 0.2], [9.0, 2.0], [2.0, 3.0], [5.0, -0.6]])
-    good = np.array([True, True, True, False, True])
     size, first, step = np.exp([0.35, -1.0, 0.5, 0.5, 0.5]), 0.1, 0.2
     out = np.full(5, np.nan, dtype=np.float32)
+    good = np.array([True, True, True, False, True])
     _sample(slice(0, len(out)), maps, pixels, good, size, first, step, out)
     expected = 0.75 * maps[1, 6, 3] + 0.25 * maps[2, 6, 3]  # (0.35 - 0.1) / 0.2 = 1.25
     assert out[0] == pytest.approx(expected, rel=1e-5)

@@ -26,8 +26,7 @@ def drawn(tracers: F64 = _TRACERS, noise: float = 10.0) -> tuple[Observation, Bo
     for column, row in tracers:
         image += 900.0 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / (2.0 * 0.8**2))
     image += noise * np.random.default_rng(3).standard_normal(image.shape)
-    grey = np.rint(image + _BLACK).astype(np.uint16)
-    images = np.repeat(grey[None], len(rig.cameras), axis=0)
+    images = np.repeat(np.rint(image + _BLACK).astype(np.uint16)[None], len(rig.cameras), axis=0)
     return Observation(images, rig.cameras, rig.grid, _BLACK, 4095.0), body
 
 
@@ -35,9 +34,7 @@ def test_three_phases_are_separated() -> None:
     """Tracers are peaks above the diffuser and before the body, which is wider than bubbles."""
     case, body = drawn()
     parts = separate_phases(case, 24.0)
-    light, left = (
-        part.images[0].astype(np.float64) - _BLACK for part in (parts.tracers, parts.bubbles)
-    )
+    light, left = (p.images[0].astype(np.float64) - _BLACK for p in (parts.tracers, parts.bubbles))
     far = np.ones(light.shape, dtype=np.bool_)
     for column, row in _TRACERS.astype(int):
         assert light[row, column] > 350.0

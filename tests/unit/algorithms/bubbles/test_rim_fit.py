@@ -68,9 +68,7 @@ def test_misfit_is_least_for_the_bubble_itself() -> None:
     ball = rim_fit.start_of(PLACE, 0.8)
     model = model_of(ball)
     assert rim_fit.misfit(model, ball) == pytest.approx(0.0, abs=1e-12)
-    moved = [
-        rim_fit.misfit(model, ball + np.array([x, 0, 0, 0, 0, 0, 0])) for x in (0.02, 0.05, 0.1)
-    ]
+    moved = [rim_fit.misfit(model, ball + x * np.eye(7)[0]) for x in (0.02, 0.05, 0.1)]
     assert 1e-5 < moved[0] < moved[1] < moved[2]
 
 

@@ -62,8 +62,7 @@ def test_a_plane_wall_gives_the_kernels_equations(scale: float) -> None:
     assert other.cost == pytest.approx(one.cost, rel=1e-9)
     for name in ("aa", "ab", "bb", "a", "d"):
         first, second = getattr(one, name), getattr(other, name)
-        root = np.abs(first).max()
-        assert_allclose(second, first, rtol=1e-5, atol=1e-7 * root)
+        assert_allclose(second, first, rtol=1e-5, atol=1e-7 * np.abs(first).max())
     assert_allclose(misses(state, cameras), misses(state, seen), rtol=0, atol=1e-9)
     bounds = [compute_bound(state, each, FREE, 0.1) for each in (seen, cameras)]
     assert bounds[1].reprojection_px == pytest.approx(bounds[0].reprojection_px, rel=1e-4)
@@ -74,8 +73,7 @@ def test_a_plane_wall_gives_the_kernels_equations(scale: float) -> None:
 def test_the_state_of_true_cameras_has_no_residuals(kind: str) -> None:
     frame, state, seen = bundle(kind)
     assert frame.beyond_kernels is frame
-    exact = case_of(scene_of(kind))[3]
-    seen = replace(seen, pixels=np.nan_to_num(exact), frame=frame)
+    seen = replace(seen, pixels=np.nan_to_num(case_of(scene_of(kind))[3]), frame=frame)
     assert np.abs(misses(state, seen)).max() < 1e-8
 
 
@@ -112,8 +110,7 @@ def test_free_motions_change_no_image(kind: str, turn: float) -> None:
     found = fit_free_motion(frame, here, frame.motion(moved(world)))
     assert_allclose(found(here), frame.motion(moved(world)), rtol=0, atol=1e-9)
     exact = replace(seen, pixels=np.nan_to_num(case_of(scene_of(kind))[3]), frame=frame)
-    there = state.move(found)
-    assert np.abs(misses(there, exact)).max() < 1e-6
+    assert np.abs(misses(state.move(found), exact)).max() < 1e-6
     aside = frame.motion(world + np.array([0.0, 0.0, 5.0]))
     still: Any = fit_free_motion(frame, here, aside)
     assert np.abs(still(here) - here).max() < 2.5

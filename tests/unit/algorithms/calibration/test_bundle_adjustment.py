@@ -114,8 +114,7 @@ def dense_jacobian(
 
 def test_the_equations_are_those_of_a_dense_jacobian() -> None:
     _, state, seen = truth()
-    rng = np.random.default_rng(0)
-    seen = noisy(seen, 0.5, rng)
+    seen = noisy(seen, 0.5, np.random.default_rng(0))
     free = FreeParameters(True, ("k1",), (2,), (0,))
     normal = bundle_adjustment.normal_equations(state, seen, free)
     own, shared = free.columns(3)

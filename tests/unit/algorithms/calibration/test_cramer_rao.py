@@ -127,8 +127,7 @@ def expected_deg(scene: Scene, free: FreeParameters, seed: int) -> Any:
     covariance, _, _ = _inverse(information_of(scene, free, seed))
     own, size = list(free.columns(3)[0]), free.per_camera
     rows = [number * size + own.index(column) for number in range(9) for column in (14, 15)]
-    variances = np.diagonal(covariance)[rows].reshape(-1, 2)
-    return np.rad2deg(NOISE_PX * np.sqrt(variances))
+    return np.rad2deg(NOISE_PX * np.sqrt(np.diagonal(covariance)[rows].reshape(-1, 2)))
 
 
 def test_the_tilt_is_found_as_well_as_the_noise_allows() -> None:

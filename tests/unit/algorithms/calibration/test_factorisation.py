@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sabench.algorithms.calibration import factorise_parallax, fit_depth_scale
-from sabench.algorithms.calibration.factorisation import (
-    adjust_factors,
-    factorise,
-    upgrade_to_euclidean,
-)
+from sabench.algorithms.calibration import factorisation, factorise_parallax, fit_depth_scale
 from sabench.algorithms.calibration.parameters import fit_similarity
 from sabench.api import CalibrationCase
 from sabench.api.make import make_algorithm
@@ -41,11 +36,13 @@ def test_factors_make_the_images(missing: float) -> None:
     images = (exact.reshape(9, -1, 2) - middle) / focal_px
     seen = np.random.default_rng(0).random(images.shape[:2]) >= missing
     images[~seen] = np.nan
-    factors = adjust_factors(factorise(images, seen), np.nan_to_num(images), seen)
+    factors = factorisation.adjust_factors(
+        factorisation.factorise(images, seen), np.nan_to_num(images), seen
+    )
     projected = np.einsum("cij,nj->cni", factors.matrices, factors.points)
     errors = (projected[..., :2] / projected[..., 2:] - images)[seen] * focal_px
     assert np.abs(errors).max() < 1e-4
-    upgraded = upgrade_to_euclidean(factors)
+    upgraded = factorisation.upgrade_to_euclidean(factors)
     positions = upgraded.points[:, :3] / upgraded.points[:, 3:]
     world = fit_similarity(positions, points.reshape(-1, 3))
     assert np.abs(positions @ world[:3, :3].T + world[:3, 3] - points.reshape(-1, 3)).max() < 0.05
@@ -134,7 +131,6 @@ def test_cases_without_a_level_frame_or_with_one_camera_are_skipped() -> None:
     tilted, *_ = case_of(calibration_scene(wall=None))
     check_sentence(algorithm.skip(tilted))
     case, *_ = air()
-    alone = replace(case, cameras=case.cameras[:1], pixels=case.pixels[:1])
-    check_sentence(algorithm.skip(alone))
+    check_sentence(algorithm.skip(replace(case, cameras=case.cameras[:1], pixels=case.pixels[:1])))
     flat = np.broadcast_to(case.initial_mm[3], case.initial_mm.shape)
     check_sentence(algorithm.skip(replace(case, initial_mm=flat)))

@@ -107,8 +107,7 @@ def test_the_depth_of_a_richer_model_is_held_rather_than_the_guess() -> None:
     tank = calibration_reality.make_tank(errors, seed=40)
     case = calibration_reality.guess(tank.case, seed=40)
     problem = CalibrationProblem.from_case(case, FreeParameters())
-    found = fit_jointly(problem, FreeParameters())
-    assert found.held == "richer model"
+    assert fit_jointly(problem, FreeParameters()).held == "richer model"
     true = tank.points_mm[..., 2].mean()
     assert case.initial_mm[..., 2].mean() > true + 30.0
     solver: Any = make_algorithm("refractive_autocal", {})

@@ -64,8 +64,7 @@ def test_a_fault_is_named(change: Change, keys: tuple[str, ...]) -> None:
 
 @pytest.mark.slow
 def test_points_in_no_order_are_named() -> None:
-    few = {"columns": 5, "rows": 5}
-    given, rng = case(frames=3, targets=few), np.random.default_rng(0)
+    given, rng = case(frames=3, targets={"columns": 5, "rows": 5}), np.random.default_rng(0)
     pixels = given.pixels.copy()
     for view in pixels.reshape(-1, *pixels.shape[2:]):
         view[:] = view[rng.permutation(len(view))]

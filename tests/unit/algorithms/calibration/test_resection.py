@@ -30,8 +30,7 @@ def test_boards_are_calibrated_in_any_world(rotation: F64) -> None:
 
 def test_a_board_upside_down_is_found() -> None:
     case, _, _ = make_tank()
-    turned = replace(case, pixels=case.pixels[:, :, ::-1])
-    found = place_boards(turned)
+    found = place_boards(replace(case, pixels=case.pixels[:, :, ::-1]))
     right = place_boards(case)
     assert_allclose(found[:, ::-1].mean(axis=1), right.mean(axis=1), atol=0.5)
     assert_allclose(found[:, 0], right[:, -1], atol=2.0)

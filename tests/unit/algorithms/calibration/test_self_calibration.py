@@ -7,13 +7,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.calibration import disparity
-from sabench.algorithms.calibration.disparity import (
-    _by_parts,
-    _compute_step,
-    _gains,
-    densest,
-    find_sets,
-)
 from sabench.api import Calibration, Observation
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.rigid_motion import fit_rigid_motion
@@ -52,8 +45,7 @@ def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) 
     """Mean error, px, of true particles, without the motion of all cameras together."""
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in build_rig(scene).cameras])
-    found = triangulate(cameras, exact)
-    moved = fit_rigid_motion(truths, found)(truths)
+    moved = fit_rigid_motion(truths, triangulate(cameras, exact))(truths)
     again = np.stack([camera.project(moved)[0] for camera in cameras])
     return float(np.linalg.norm(again - exact, axis=-1).mean())
 
@@ -86,8 +78,7 @@ def test_without_room_for_all_sets_images_are_left_out(monkeypatch: pytest.Monke
 
 
 def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
-    scene = particle_scene(0.0)
-    shot = simulate(scene, seed=5)
+    shot = simulate(particle_scene(0.0), seed=5)
     light = shot.observation.images[0].astype(np.float32)
     peaks = find_peaks(light / light.max(), 0.2)
     assert len(peaks.pixels) == peaks.starts[-1]
@@ -111,7 +102,7 @@ def test_all_right_sets_are_among_those_found() -> None:
         x, y = (project_points(maps, number, unit) + shifts[number]).T[:, :, None]
         across, down = (np.exp(-((np.arange(240) - at) ** 2) / 1.28) for at in (x, y))
         pictures.append(find_peaks((down.T @ across).astype(np.float32), 0.3))
-    sets = find_sets(maps, tuple(pictures), 4.0)
+    sets = disparity.find_sets(maps, tuple(pictures), 4.0)
     right = [np.abs(sets.positions - place).max(axis=1).min() for place in unit]
     assert np.mean(np.array(right) < 0.05) > 0.85
 
@@ -120,7 +111,7 @@ def test_the_densest_spot_is_found_among_noise() -> None:
     rng = np.random.default_rng(2)
     spot = np.array([1.2, -0.7, 0.3, 2.0, -1.5])
     values = [rng.uniform(-4.0, 4.0, (20000, 5)), spot + rng.normal(0.0, 0.1, (80, 5))]
-    assert_allclose(densest(np.vstack(values)), spot, atol=0.1)
+    assert_allclose(disparity.densest(np.vstack(values)), spot, atol=0.1)
 
 
 def test_nothing_to_go_by_is_said() -> None:
@@ -140,17 +131,16 @@ def test_each_part_of_the_box_has_its_own_disparity() -> None:
     true = np.column_stack([0.1 * third[:, 0], 0.07 * third[:, 1]])
     errors = true + rng.normal(0.0, 0.02, true.shape)
     errors[::10] += 3.0
-    rows, spots = _by_parts(positions, errors, np.array([0.1, 0.07]))
+    rows, spots = disparity._by_parts(positions, errors, np.array([0.1, 0.07]))
     across, down = np.meshgrid([-2 / 3, 0.0, 2 / 3], [-2 / 3, 0.0, 2 / 3])
     middles = np.column_stack([np.ones(9), across.ravel(), down.ravel()])
     assert_allclose(rows, middles, atol=0.06)
-    expected = 0.15 * (middles[:, 1:] + 2 / 3) * [1.0, 0.7]
-    assert_allclose(spots, expected, atol=0.005)
+    assert_allclose(spots, 0.15 * (middles[:, 1:] + 2 / 3) * [1.0, 0.7], atol=0.005)
 
 
 def test_few_particles_have_one_disparity() -> None:
     positions = np.random.default_rng(8).uniform(-1.0, 1.0, (800, 3))
-    rows, spots = _by_parts(positions, np.zeros((800, 2)), np.array([0.1, 0.2]))
+    rows, spots = disparity._by_parts(positions, np.zeros((800, 2)), np.array([0.1, 0.2]))
     assert_array_equal(rows, [[1.0]])
     assert_array_equal(spots, [[0.1, 0.2]])
 
@@ -160,12 +150,12 @@ def test_a_step_is_the_least_squares_solution() -> None:
     for cameras in (2, 3, 5):
         slopes, misses = rng.normal(size=(cameras, 2, 3)), rng.normal(size=(cameras, 2))
         gains, step = np.zeros((cameras, 2, 3)), np.zeros(3)
-        assert _gains(slopes, cameras, gains)
-        _compute_step(gains, misses, cameras, step)
+        assert disparity._gains(slopes, cameras, gains)
+        disparity._compute_step(gains, misses, cameras, step)
         expected = np.linalg.lstsq(slopes.reshape(-1, 3), misses.ravel(), rcond=None)[0]
         assert_allclose(step, expected, rtol=1e-9)
 
 
 def test_parallel_lines_of_sight_have_no_solution() -> None:
     slopes = np.tile(np.array([[1.0, 0.0, 0.2], [0.0, 1.0, -0.1]]), (3, 1, 1))
-    assert not _gains(slopes, 3, np.zeros((3, 2, 3)))
+    assert not disparity._gains(slopes, 3, np.zeros((3, 2, 3)))

@@ -11,11 +11,6 @@ from sabench.algorithms.calibration.fit_checks import correlated_part, neighbour
 from sabench.algorithms.calibration.parameters import FreeParameters
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.algorithms.calibration.resection import place_boards
-from sabench.algorithms.calibration.unknown_selection import (
-    _can_free,
-    select_unknowns,
-    split_frames,
-)
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.utils.validation import LensNumber
 from tests.helpers.calibration_tanks import BOARD, make_tank, with_places
@@ -24,7 +19,7 @@ from tests.helpers.refusals import refused
 
 def test_what_the_tank_has_is_chosen() -> None:
     case, _, _ = make_tank(k1=-0.5, bend_mm=0.3)
-    chosen, rows = select_unknowns(replace(case, initial_mm=place_boards(case)))
+    chosen, rows = unknown_selection.select_unknowns(replace(case, initial_mm=place_boards(case)))
     assert {"k1", "bend"} <= set(chosen)
     assert len(chosen) <= 3
     assert rows[0].added == ()
@@ -36,7 +31,7 @@ def test_what_the_tank_has_is_chosen() -> None:
 
 def test_an_ideal_tank_needs_nothing() -> None:
     case, _, _ = make_tank()
-    chosen, rows = select_unknowns(replace(case, initial_mm=place_boards(case)))
+    chosen, rows = unknown_selection.select_unknowns(replace(case, initial_mm=place_boards(case)))
     assert chosen == ()
     assert len(rows) > 1
 
@@ -44,15 +39,15 @@ def test_an_ideal_tank_needs_nothing() -> None:
 def test_frames_with_the_only_known_points_are_never_held_out() -> None:
     case, _, places = make_tank()
     case.known_mm[2, 4, 2], case.known_sigma_mm[2, 4, 2] = 70.0, 0.05
-    assert sorted(np.concatenate(split_frames(case)).tolist()) == [0, 1, 3, 4, 5]
-    assert len(np.concatenate(split_frames(with_places(case, places)))) == 6
+    assert sorted(np.concatenate(unknown_selection.split_frames(case)).tolist()) == [0, 1, 3, 4, 5]
+    assert len(np.concatenate(unknown_selection.split_frames(with_places(case, places)))) == 6
 
 
 def test_two_frames_are_too_few() -> None:
     case, _, _ = make_tank()
     case.pixels[:, 2:] = np.nan
     with refused():
-        select_unknowns(case)
+        unknown_selection.select_unknowns(case)
 
 
 def test_behind_other_walls_only_lenses_are_tried() -> None:
@@ -60,7 +55,7 @@ def test_behind_other_walls_only_lenses_are_tried() -> None:
     wall = CylinderWall((0.0, 0.0, 90.0), (0.0, 1.0, 0.0), 90.0, 1.0, (), 1.333)
     faces = tuple(replace(camera, wall=wall) for camera in case.cameras)
     problem = CalibrationProblem.from_case(replace(case, cameras=faces), FreeParameters())
-    tried = [group for group in unknown_selection._GROUPS if _can_free(group, problem)]
+    tried = [g for g in unknown_selection._GROUPS if unknown_selection._can_free(g, problem)]
     assert {name for group in tried for name in group} == set(get_args(LensNumber))
 
 

@@ -70,8 +70,7 @@ def bound_of(case: CalibrationCase, cameras: tuple[Camera, ...], places: F64) ->
     frame, free = WallFrame.from_cameras(cameras, places), FreeParameters.from_case(case)
     state, board = frame.state(case.target.points_mm, places), case.target.points_mm
     anchors = make_anchors(case, frame, 0.05)
-    weights = np.ones(case.pixels.shape[:3])
-    seen = BoardImages(board, np.nan_to_num(case.pixels), weights, anchors)
+    seen = BoardImages(board, np.nan_to_num(case.pixels), np.ones(case.pixels.shape[:3]), anchors)
     covariance, _, _ = _inverse(_whole(state, seen, free))
     count = len(free.columns(len(state.indices))[1])
     return covariance[:count, :count], compute_bound(state, seen, free, 0.05).shared_std

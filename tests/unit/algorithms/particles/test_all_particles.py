@@ -5,15 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sabench.algorithms.particles import all_particles as module
-from sabench.algorithms.particles.all_particles import (
-    disjoint_groups,
-    leverage,
-    misfits,
-    paint_particles,
-    side_by_side,
-    split_gains,
-)
+from sabench.algorithms.particles import all_particles, all_particles as module
 from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.image_model import ImageModel, ModelParticles, paint_all
 from sabench.algorithms.particles.joint_fit import fit_particles
@@ -40,13 +32,13 @@ def case(maps: Maps) -> tuple[ImageModel, ModelParticles]:
 
 def outcome(maps: Maps) -> list[F64 | F32]:
     model, particles = case(maps)
-    paint_particles(model, SIGMAS, particles, -1.0)
+    all_particles.paint_particles(model, SIGMAS, particles, -1.0)
     return [
         model.left,
-        misfits(model, SIGMAS, particles),
+        all_particles.misfits(model, SIGMAS, particles),
         camera_misses(model, SIGMAS, particles),
-        leverage(model, SIGMAS, particles),
-        split_gains(model, SIGMAS, particles, 0.02 * np.eye(3)),
+        all_particles.leverage(model, SIGMAS, particles),
+        all_particles.split_gains(model, SIGMAS, particles, 0.02 * np.eye(3)),
     ]
 
 
@@ -80,7 +72,7 @@ def test_a_fit_takes_as_much_as_it_has_unknowns(maps: Maps) -> None:
     points = unit_points(COUNT)[:1]
     light = np.full((1, 4), 1000.0 * TYPICAL)  # the prior tells nothing
     model = model_of(maps, paint(maps, points, light, ROWS, COLUMNS), between=1.0)
-    taken = leverage(model, SIGMAS, particles_of(points, light))
+    taken = all_particles.leverage(model, SIGMAS, particles_of(points, light))
     assert taken.sum() == pytest.approx(4.0 + 3.0, rel=0.01)
 
 
@@ -108,7 +100,9 @@ def test_groups_share_no_pixel(maps: Maps, whole: bool, monkeypatch: pytest.Monk
     points = unit_points(GROUPED)
     neighbours = find_neighbours(maps, np.full((4, 2), 0.7), points) if whole else None
     rows = np.sort(RNG.permutation(GROUPED)[:500])
-    turns = disjoint_groups(maps, points, rows, WINDOW, 0.3 * pixel_mm(maps), PORTIONS, neighbours)
+    turns = all_particles.disjoint_groups(
+        maps, points, rows, WINDOW, 0.3 * pixel_mm(maps), PORTIONS, neighbours
+    )
     assert sorted(row for turn in turns for one in turn for row in one.tolist()) == rows.tolist()
     assert max(len(turn) for turn in turns) > 1
     for turn in turns:
@@ -130,7 +124,7 @@ def fitted(maps: Maps, points: F64, turns: list[list[I64]], threads: int) -> lis
     before = numba.get_num_threads()
     numba.set_num_threads(threads)
     try:
-        side_by_side(
+        all_particles.side_by_side(
             lambda rows: fit_particles(model, room_of(maps), particles, rows) and None, 3 * turns
         )
     finally:
@@ -140,14 +134,16 @@ def fitted(maps: Maps, points: F64, turns: list[list[I64]], threads: int) -> lis
 
 def test_few_rows_keep_their_order(maps: Maps) -> None:
     rows = RNG.permutation(GROUPED)
-    turns = disjoint_groups(maps, unit_points(GROUPED), rows, WINDOW, pixel_mm(maps), PORTIONS)
+    turns = all_particles.disjoint_groups(
+        maps, unit_points(GROUPED), rows, WINDOW, pixel_mm(maps), PORTIONS
+    )
     assert [one.tolist() for turn in turns for one in turn] == [rows.tolist()]
 
 
 def test_a_fit_is_the_same_with_more_threads(maps: Maps, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
     points = 0.95 * unit_points(GROUPED)
-    turns = disjoint_groups(
+    turns = all_particles.disjoint_groups(
         maps, points, np.arange(GROUPED), WINDOW, 0.3 * pixel_mm(maps), PORTIONS
     )
     assert max(len(turn) for turn in turns) > 1

@@ -31,8 +31,7 @@ from tests.helpers.particle_box import (
 
 def logs_of(images: F64) -> F32:
     """Logarithms of light over the brightest pixel's."""
-    logs = np.log(np.clip(images / images.max(), 0.03, BRIGHTEST))
-    return np.asarray(logs, dtype=np.float32)
+    return np.asarray(np.log(np.clip(images / images.max(), 0.03, BRIGHTEST)), dtype=np.float32)
 
 
 @pytest.mark.slow
@@ -73,8 +72,7 @@ def test_as_many_cameras_may_be_dark_as_are_allowed(maps: Maps) -> None:
 
 def test_a_camera_that_shows_nothing_does_not_count(maps: Maps) -> None:
     points = 0.9 * unit_points(5)
-    images = paint(maps, points, np.full((5, 4), TYPICAL), ROWS, COLUMNS)
-    logs = logs_of(images)
+    logs = logs_of(paint(maps, points, np.full((5, 4), TYPICAL), ROWS, COLUMNS))
     logs[2] = np.nan
     near = 4.0 * pixel_mm(maps)
     assert (distances(find_candidates(maps, logs, math.log(0.3), 0.2), points, maps) < near).all()
@@ -100,8 +98,7 @@ def test_the_lattice_turns_with_the_axes() -> None:
     middle, half = (LOW + HIGH) / 2.0, (HIGH - LOW) / 2.0
     short = fit_volume_polynomials(CAMERAS, middle - 0.5 * half, middle + 0.5 * half)
     long = fit_volume_polynomials(CAMERAS, middle - half, middle + half)
-    ratio = np.array(lattice_shape(long)) / np.array(lattice_shape(short))
-    assert_allclose(ratio, 2.0, rtol=0.06)
+    assert_allclose(np.array(lattice_shape(long)) / np.array(lattice_shape(short)), 2.0, rtol=0.06)
 
 
 _BLOCK = 20  # px
@@ -116,8 +113,7 @@ def test_shares_are_those_of_random_points(maps: Maps) -> None:
         edges = np.arange(0, ROWS + 1, _BLOCK) - 0.5, np.arange(0, COLUMNS + 1, _BLOCK) - 0.5
         expected = np.histogram2d(row, column, edges)[0]
         blocks = share.reshape(ROWS // _BLOCK, _BLOCK, COLUMNS // _BLOCK, _BLOCK).sum(axis=(1, 3))
-        off = blocks * count - expected
-        assert np.abs(off).max() < 6.0 * np.sqrt(expected.max())
+        assert np.abs(blocks * count - expected).max() < 6.0 * np.sqrt(expected.max())
 
 
 def test_shared_views_are_what_enough_cameras_see_all_of(maps: Maps) -> None:

@@ -6,12 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.defocusing import (
-    Apertures,
-    find_by_defocusing,
-    find_unsuitable,
-    match_triangles,
-)
+from sabench.algorithms.particles import defocusing
 from sabench.api import Camera, ImageSequence
 from sabench.api.make import make_algorithm
 from sabench.evaluation.suite_loading import override
@@ -29,10 +24,12 @@ from tests.helpers.small_particles import count_found, make_small, rotate_camera
 
 SCENE = load_scene("ddpiv-100x100x100")
 RIG = build_rig(SCENE)
-APERTURES = Apertures.of(RIG.cameras)
+APERTURES = defocusing.Apertures.of(RIG.cameras)
 
 
-def superimposed(images: Any, cameras: Any = RIG.cameras, apertures: Apertures = APERTURES) -> F64:
+def superimposed(
+    images: Any, cameras: Any = RIG.cameras, apertures: defocusing.Apertures = APERTURES
+) -> F64:
     pairs = zip(cameras, images, strict=True)
     return np.stack([apertures.superimpose(*pair) for pair in pairs], axis=1)
 
@@ -81,7 +78,7 @@ def test_triplets_of_exact_images_are_found_and_no_others() -> None:
     world = points(2000)
     shape = RIG.cameras[0].rows, RIG.cameras[0].columns
     peaks = tuple(sort_peaks(own, shape) for own in images_of(world))
-    found = match_triangles(APERTURES, RIG.cameras, peaks, RIG.grid, 0.02)
+    found = defocusing.match_triangles(APERTURES, RIG.cameras, peaks, RIG.grid, 0.02)
     near = np.linalg.norm(found.position[:, None] - world[None], axis=2).min(axis=1)
     assert (near < 1e-6).sum() == 2000
     assert len(found.position) < 2060  # by chance
@@ -93,7 +90,7 @@ def test_distorted_lenses_and_apertures_turned_in_the_world_change_nothing() -> 
         replace(camera, distortion=Distortion(k1=-0.05))
         for camera in rotate_cameras(RIG.cameras, turn)
     )
-    world, apertures = 0.5 * points(40) @ turn.T, Apertures.of(turned)
+    world, apertures = 0.5 * points(40) @ turn.T, defocusing.Apertures.of(turned)
     images = superimposed(images_of(world, turned), turned, apertures)
     assert apertures.locate(images)[0] == pytest.approx(world, abs=1e-6)
 
@@ -111,7 +108,7 @@ def sparse_shot(seed: int = 3) -> Shot:
 
 def test_particles_of_images_are_those_of_ray_triangulation() -> None:
     shot = sparse_shot()
-    found: Any = find_by_defocusing(shot.observation)
+    found: Any = defocusing.find_by_defocusing(shot.observation)
     counts = count_found(shot, found)
     assert counts.recall > 0.85
     assert counts.precision > 0.97
@@ -121,7 +118,7 @@ def test_particles_of_images_are_those_of_ray_triangulation() -> None:
 def test_empty_images_have_no_particles() -> None:
     case = sparse_shot().observation
     dark = replace(case, images=np.zeros_like(case.images))
-    assert len(find_by_defocusing(dark).position_mm) == 0
+    assert len(defocusing.find_by_defocusing(dark).position_mm) == 0
 
 
 def moved(number: int, **changes: Any) -> tuple[Camera, ...]:
@@ -149,8 +146,8 @@ BEHIND = replace(RIG.grid, low_mm=(*RIG.grid.low_mm[:2], -800.0))
     ],
 )
 def test_other_cameras_are_refused_in_one_sentence(cameras: Any, grid: Grid, keys: Any) -> None:
-    assert find_unsuitable(RIG.cameras, RIG.grid) is None
-    check_sentence(find_unsuitable(cameras, grid) or "", *keys)
+    assert defocusing.find_unsuitable(RIG.cameras, RIG.grid) is None
+    check_sentence(defocusing.find_unsuitable(cameras, grid) or "", *keys)
 
 
 def test_the_solver_declines_four_cameras() -> None:

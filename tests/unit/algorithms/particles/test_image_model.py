@@ -83,8 +83,7 @@ def test_flatness_is_limited(maps: Maps, flatness: float, as_if: float) -> None:
     model.shapes[CAMERA, 3, 0] = flatness
     one = image_of(model, room, PLACE)
     model.shapes[CAMERA, 3, 0] = as_if
-    other = image_of(model, room, PLACE)
-    assert_allclose(one, other, atol=1e-7)
+    assert_allclose(one, image_of(model, room, PLACE), atol=1e-7)
 
 
 @pytest.mark.parametrize(("correlation", "flatness"), [(0.3, 0.0), (0.0, 0.05), (-0.2, 0.05)])
@@ -148,7 +147,6 @@ def test_a_claim_is_the_bound_of_the_shape(maps: Maps, correlation: float, flatn
     expected = bound * np.outer(maps.half_mm, maps.half_mm)
     particles = particles_of(POINT[None], np.full((1, 4), LIGHT))
     model.left[:] = 0.0
-    widths = np.tile(WIDTHS, (4, 1))
-    found = claimed_covariances(model, widths, particles, np.full(4, NOISE))[0]
+    found = claimed_covariances(model, np.tile(WIDTHS, (4, 1)), particles, np.full(4, NOISE))[0]
     ratio = np.linalg.eigvals(np.linalg.solve(expected, found)).real
     assert ratio == pytest.approx(np.ones(3), abs=0.1)

@@ -119,8 +119,7 @@ def test_light_beyond_saturation_costs_nothing_and_less_does(maps: Maps) -> None
 def test_errors_of_places_are_as_large_as_the_price_says(maps: Maps) -> None:
     """A penalty grows by the logarithm of how much better places are known."""
     point, light = np.zeros(3), np.full(4, TYPICAL)
-    images = np.zeros((4, ROWS, COLUMNS))
-    model, room = model_of(maps, images), room_of(maps)
+    model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
     sharp = model._replace(weight=100.0 * model.weight)
     gain = joint_fit.penalty(sharp, room, point, light) - joint_fit.penalty(
         model, room, point, light
@@ -199,8 +198,7 @@ def test_covariances_are_learned_in_spite_of_outliers() -> None:
     rng = np.random.default_rng(2)
     logs = 0.7 + rng.multivariate_normal(np.zeros(4), true, 2000)
     logs[:40] = rng.uniform(-4.0, 4.0, (40, 4))
-    found = joint_fit.learn_covariance(logs)
-    assert_allclose(found, true, atol=0.05)
+    assert_allclose(joint_fit.learn_covariance(logs), true, atol=0.05)
     few = joint_fit.learn_covariance(logs[40:70])  # few tell little more than the average
     assert few[0, 2] == pytest.approx(few[0, 1], abs=0.05)
 

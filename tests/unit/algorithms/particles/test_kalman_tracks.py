@@ -62,8 +62,7 @@ def test_the_strength_of_the_jerk_is_learned(guess: float) -> None:
             state[:, 2] += np.sqrt(power * h) * rng.normal(size=(COUNT, 3))
         path.append(state[:, 0] + ERROR * rng.normal(size=(COUNT, 3)))
     tracks = begin(np.zeros((COUNT, 3)), np.zeros((COUNT, 3)), 10.0, guess * 100.0)
-    misses = follow(tracks, np.array(path))
-    assert np.mean(misses[-10:]) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(follow(tracks, np.array(path))[-10:]) == pytest.approx(1.0, abs=0.25)
     assert tracks.jerk == pytest.approx(power, rel=0.5)
 
 
@@ -79,8 +78,7 @@ def test_a_surprised_track_recovers_at_once() -> None:
 
 
 def test_a_new_track_moves_as_its_neighbours_do() -> None:
-    rng = np.random.default_rng(3)
-    place = rng.uniform(-5.0, 5.0, (COUNT, 3))
+    place = np.random.default_rng(3).uniform(-5.0, 5.0, (COUNT, 3))
     velocity = np.stack([place[:, 1], -place[:, 0], np.full(COUNT, 2.0)], axis=1)  # a vortex
     tracks = begin(place, velocity, 0.1, 1.0)
     assert (tracks.neighbours_velocity(place[:5])[1] > 1e6).all()  # nothing known yet
@@ -105,10 +103,8 @@ def _estimate(position: F64, variance: F64, times: F64 = _TIMES, jerk: float = 0
 
 def test_a_parabola_is_found_exactly() -> None:
     state = np.array([[50.0, -20.0, 3.0], [120.0, 40.0, -70.0], [3e3, -9e3, 1e3]])
-    terms = np.stack([np.ones(7), _TIMES, _TIMES**2 / 2.0], axis=1)
-    position = (terms @ state)[None]
-    found = _estimate(position, np.full((1, 7, 3), 1e-4), jerk=1e3)
-    assert_allclose(found[0], state, rtol=1e-6)
+    position = (np.stack([np.ones(7), _TIMES, _TIMES**2 / 2.0], axis=1) @ state)[None]
+    assert_allclose(_estimate(position, np.full((1, 7, 3), 1e-4), jerk=1e3)[0], state, rtol=1e-6)
 
 
 def test_positions_that_are_not_there_do_not_count() -> None:

@@ -161,8 +161,7 @@ def straight_and_oblique(*tilts: float) -> VolumePolynomials:
 @pytest.mark.parametrize("tilts", [(25.0, 0.0), (0.0, 25.0), (25.0, -25.0)])
 def test_lines_of_sight_are_followed_closely(tilts: tuple[float, float]) -> None:
     maps = straight_and_oblique(*tilts)
-    points = np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)])
-    for point in points:
+    for point in np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)]):
         peaks = peaks_of(tuple(project_points(maps, number, point[None]) for number in range(3)))
         found = matching.find_peak_sets(maps, peaks, 0.5, open_sensors(3))
         assert len(found.position) == 1
@@ -222,8 +221,7 @@ def test_a_spent_budget_is_said_and_gives_what_was_found(monkeypatch: pytest.Mon
 
 
 def test_noise_without_particles_makes_none() -> None:
-    case = noisy(make_small(3).observation)
-    assert len(solve(case, floor=1e-6).position_mm) == 0
+    assert len(solve(noisy(make_small(3).observation), floor=1e-6).position_mm) == 0
 
 
 @pytest.mark.slow
@@ -245,8 +243,7 @@ def test_the_number_of_sets_by_chance_is_about_right() -> None:
         sort_peaks(rng.uniform([1.0, 1.0], [columns - 2.0, rows - 2.0], (400, 2)), (rows, columns))
         for _ in case.cameras
     )
-    covered = np.zeros(case.images.shape, dtype=np.bool_)
-    found = matching.find_peak_sets(maps, peaks, 0.8, covered)
+    found = matching.find_peak_sets(maps, peaks, 0.8, np.zeros(case.images.shape, dtype=np.bool_))
     expected = matching.count_by_chance(maps, peaks, 0.8, rows * columns)
     assert 0.2 < len(found.position) / 400.0 / expected < 1.5
 
@@ -259,7 +256,6 @@ def test_peaks_that_are_kept_are_found_near() -> None:
     assert np.array_equal(kept.pixels, peaks.pixels[numbers])
     room = np.zeros(64, dtype=np.int64)
     for number, pixel in enumerate(kept.pixels):
-        count = find_near(kept, pixel, 0.01, room)
-        assert room[:count].tolist() == [number]
+        assert room[: find_near(kept, pixel, 0.01, room)].tolist() == [number]
     none: Peaks = keep_peaks(peaks, np.zeros(0, dtype=np.int64))
     assert find_near(none, np.array([30.0, 30.0]), 20.0, room) == 0

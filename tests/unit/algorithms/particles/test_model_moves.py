@@ -29,8 +29,7 @@ WIDTHS = np.tile(np.array(SIGMA), (4, 1))
 def noisy(maps: Maps, points: F64, light: F64) -> F64:
     """Images of particles with noise: the same at each call."""
     images = paint(maps, points, light, ROWS, COLUMNS)
-    noise = np.random.default_rng(9).standard_normal(images.shape)
-    return np.asarray(images + NOISE * noise)
+    return np.asarray(images + NOISE * np.random.default_rng(9).standard_normal(images.shape))
 
 
 def subtracted(
@@ -70,8 +69,7 @@ def crossing(maps: Maps, ghost: F64) -> F64:
         point[2] = depth
         for _ in range(30):
             off = goal - project_points(maps, camera, point[None])[0]
-            ends = project_points(maps, camera, point + 1e-4 * np.eye(3)[:2])
-            slope = (ends - goal + off) / 1e-4
+            slope = (project_points(maps, camera, point + 1e-4 * np.eye(3)[:2]) - goal + off) / 1e-4
             point[:2] += np.linalg.solve(slope.T, off)
         out.append(point)
     return np.array(out)
@@ -105,8 +103,7 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(maps
 @pytest.mark.slow
 def test_light_in_one_camera_alone_is_no_particle(maps: Maps) -> None:
     point = np.zeros((1, 3))
-    light = np.array([[1e-3, 3.0 * TYPICAL, 1e-3, 1e-3]])
-    images = noisy(maps, point, light)
+    images = noisy(maps, point, np.array([[1e-3, 3.0 * TYPICAL, 1e-3, 1e-3]]))
     starts, near = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int64)
     for lone, expected in ((True, 1), (False, 0)):
         guess = np.array([[8.0, 3.0 * TYPICAL, 8.0, 8.0]])
@@ -164,8 +161,7 @@ def test_meetings_with_chosen_particles_are_counted(maps: Maps) -> None:
     starts, near = model_moves.find_neighbours(maps, WIDTHS, points)
     for chosen, expected in (([1], 4), ([2], 1), ([2, 4, 5], 3), ([1, 3], 5), ([0], 0)):
         marked = np.isin(np.arange(6), chosen)
-        counts = model_moves.count_meetings(maps, WIDTHS, points, marked, starts, near)
-        assert counts[0] == expected
+        assert model_moves.count_meetings(maps, WIDTHS, points, marked, starts, near)[0] == expected
 
 
 @pytest.mark.slow
@@ -243,8 +239,7 @@ def test_the_promise_is_the_parabola_of_costs_of_halves_that_move_apart(maps: Ma
     """Halves are painted a little apart here, and each camera's light is fitted to what they do."""
     point, light = np.array([[0.1, -0.2, 0.3]]), TYPICAL * np.array([[1.0, 1.5, 0.7, 1.2]])
     step = pixel_mm(maps) / maps.half_mm * np.array([[0.6, 0.3, 1.5]])
-    pair = np.vstack([point + step, point - step])
-    images = noisy(maps, pair, 0.5 * np.vstack([light, light]))
+    images = noisy(maps, np.vstack([point + step, point - step]), 0.5 * np.vstack([light, light]))
     model, room, particles = subtracted(maps, images, point, light)
     model_moves.measure_split_gains(model, room, particles, step, gain := np.zeros(1))
 
@@ -299,8 +294,7 @@ def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[
     size = pixel_mm(maps) / maps.half_mm
     half = 0.8 * size * np.array(direction) * [1.0, 1.0, 4.0]
     pair = np.array([half, -half])
-    images = noisy(maps, pair, even_light(2))
-    model, room, particles, single = one_of_two(maps, images, 2.0)
+    model, room, particles, single = one_of_two(maps, noisy(maps, pair, even_light(2)), 2.0)
     refine_all(model, room, single, 10)
     steps = 0.7 * size * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
     model_moves.measure_split_gains(model, room, single, steps, gain := np.zeros(1))
@@ -315,11 +309,9 @@ def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[
 
 @pytest.mark.slow
 def test_a_single_particle_is_not_split(maps: Maps) -> None:
-    images = noisy(maps, np.zeros((1, 3)), even_light(1))
-    model, room, particles, _ = one_of_two(maps, images, 1.0)
+    model, room, particles, _ = one_of_two(maps, noisy(maps, np.zeros((1, 3)), even_light(1)), 1.0)
     left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
-    steps = 0.7 * size * np.eye(3)
-    split(model, room, particles, steps)
+    split(model, room, particles, 0.7 * size * np.eye(3))
     assert particles.alive.tolist() == [True, False]
     assert_allclose(particles.position[0], 0.0, atol=1e-12)
     assert_allclose(model.left, left, atol=1e-3)

@@ -51,16 +51,14 @@ def test_a_straight_edge_is_found_at_its_depth(angle: float, depth: float, offse
 def test_noise_moves_the_depth_little_and_without_bias() -> None:
     stack = straight_edge(0.3, 1.2, 0.0)
     noise = np.random.default_rng(1).normal(scale=0.02, size=stack.shape).astype(np.float32)
-    found = find_edges(stack + noise, GRID, least=0.5, reach_mm=1.5)
-    errors = found.position_mm[:, 2] - 1.2
+    errors = find_edges(stack + noise, GRID, least=0.5, reach_mm=1.5).position_mm[:, 2] - 1.2
     assert abs(np.median(errors)) < 0.05
     assert np.median(np.abs(errors)) < 0.15
 
 
 def test_an_edge_beyond_the_faces_and_a_faint_one_are_none() -> None:
     assert len(find_edges(straight_edge(0.0, 14.0, 0.0), GRID, least=0.5, reach_mm=1.5)) == 0
-    stack = straight_edge(0.0, 0.0, 0.0)
-    assert len(find_edges(0.3 * stack, GRID, least=0.5, reach_mm=1.5)) == 0
+    assert len(find_edges(0.3 * straight_edge(0.0, 0.0, 0.0), GRID, least=0.5, reach_mm=1.5)) == 0
 
 
 def test_the_gradient_of_a_step_is_its_height() -> None:
@@ -123,8 +121,7 @@ def test_a_hidden_rim_is_not_visible() -> None:
     rim = find_rim(back, np.array([0.0, 0.0, -620.0]))
     assert count_views(rim, cameras, masks, 0.3).max() < 0.4
     alone = [silhouette(camera, [back]) for camera in cameras]
-    inner = rim[np.abs(rim.position_mm[:, 1]) < 5.0]
-    assert count_views(inner, cameras, alone, 0.3).min() > 0.9
+    assert count_views(rim[np.abs(rim.position_mm[:, 1]) < 5.0], cameras, alone, 0.3).min() > 0.9
 
 
 def test_scores_of_exact_shifted_and_missing_edges() -> None:

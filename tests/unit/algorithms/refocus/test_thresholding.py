@@ -177,8 +177,7 @@ def test_a_black_camera_and_black_images(shot: Shot) -> None:
 @pytest.mark.parametrize("keep", KEEPS)
 def test_parameters_choose_the_k(shot: Shot, keep: Keep) -> None:
     case, volume = shot.observation, refocused(shot.observation)
-    k = auto_k(volume, occupancy(case), keep)
-    for given, expected in ((2.0, 2.0), ("auto", k)):
+    for given, expected in ((2.0, 2.0), ("auto", auto_k(volume, occupancy(case), keep))):
         parameters = ExtractionParameters(k=given, keep=keep)
         found = extract_particles(volume.copy(), case, parameters)
         assert_array_equal(found, extract(volume.copy(), expected, keep))

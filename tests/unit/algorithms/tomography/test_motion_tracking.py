@@ -83,8 +83,7 @@ def test_particles_coincide_in_the_guesses_and_ghosts_fade(count: int) -> None:
     for _ in range(count):
         truths.append(blobs(start))
         volumes.append(truths[-1] + blobs(ghosts))
-        middle = np.linalg.solve(np.eye(3) - SLOPE / 2.0, (start + MEAN / 2.0).T).T
-        start = 2.0 * middle - start
+        start = 2.0 * np.linalg.solve(np.eye(3) - SLOPE / 2.0, (start + MEAN / 2.0).T).T - start
         ghosts = ghosts + np.array([0.0, 4.0, 0.0])  # not with the particles
     guesses = enhanced_guesses(volumes, [move] * (count - 1))
     for number, (guess, volume, truth) in enumerate(zip(guesses, volumes, truths, strict=True)):

@@ -8,16 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
+from sabench.algorithms.velocimetry import multipass
 from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
-from sabench.algorithms.velocimetry.multipass import (
-    fill_invalid,
-    medians,
-    near_the_median,
-    thesis_local,
-    widen,
-    widths,
-    within_deviations,
-)
 from sabench.algorithms.velocimetry.windows import Windows, block_sums, by_shifts, by_spectra
 from sabench.api import Velocity, VolumePair
 from sabench.geometry.grid import Grid, gradient, inner, synthesise
@@ -103,8 +95,7 @@ def _continued(field: F64, at: list[F64]) -> F64:
 
 
 def test_block_sums_are_sums() -> None:
-    rng = np.random.default_rng(3)
-    first, second = rng.random((2, 12, 16, 24)).astype(np.float32)
+    first, second = np.random.default_rng(3).random((2, 12, 16, 24)).astype(np.float32)
     products, squares = (np.empty((3, 2, 3, 3 * 5 * 5), dtype=np.float32) for _ in range(2))
     block_sums(
         slice(0, math.prod(products.shape[:2])),
@@ -210,15 +201,18 @@ def test_outliers_are_found_and_filled() -> None:
     places = [(3, 4, 5), (6, 8, 2)]
     for place in places:
         spoilt[place] += [2.0, -1.5, 1.0]
-    for kept in (near_the_median(spoilt, valid, 2.0), thesis_local(spoilt, valid, 3.0)):
+    for kept in (
+        multipass.near_the_median(spoilt, valid, 2.0),
+        multipass.thesis_local(spoilt, valid, 3.0),
+    ):
         assert not any(kept[place] for place in places)
         assert kept.mean() > 0.98
-    repaired = fill_invalid(spoilt, near_the_median(spoilt, valid, 2.0))
+    repaired = multipass.fill_invalid(spoilt, multipass.near_the_median(spoilt, valid, 2.0))
     assert np.abs(repaired - smooth)[1:-1, 1:-1, 1:-1].max() < 0.1
     far = smooth.copy()
     far[2, 2, 2] += 50.0
-    assert not within_deviations(far, valid, 5.0)[2, 2, 2]
-    assert not fill_invalid(spoilt, np.zeros_like(valid)).any()
+    assert not multipass.within_deviations(far, valid, 5.0)[2, 2, 2]
+    assert not multipass.fill_invalid(spoilt, np.zeros_like(valid)).any()
 
 
 def test_gradients_are_those_of_linear_fields() -> None:
@@ -235,7 +229,7 @@ def test_medians_are_those_of_the_neighbours() -> None:
     padded[rng.random((5, 6, 7)) < 0.3] = np.nan
     padded[:3, :3, :3] = np.nan
     middle, spread = np.empty((3, 4, 5, 3)), np.empty((3, 4, 5, 3))
-    medians(slice(0, math.prod(middle.shape[:2])), padded, middle, spread)
+    multipass.medians(slice(0, math.prod(middle.shape[:2])), padded, middle, spread)
     for z, y, x in np.ndindex(3, 4, 5):
         around = np.delete(padded[z : z + 3, y : y + 3, x : x + 3].reshape(27, 3), 13, axis=0)
         known = around[np.isfinite(around[:, 0])]
@@ -250,11 +244,10 @@ def test_medians_are_those_of_the_neighbours() -> None:
 def test_widths_are_those_of_the_particles() -> None:
     places = particles(8.0)
     for sigma in (0.05, 0.1):
-        z, y, x = widths(synthesise(GRID, places, np.ones(len(places)), sigma))
+        z, y, x = multipass.widths(synthesise(GRID, places, np.ones(len(places)), sigma))
         for found, voxel in ((z, 0.1), (y, 0.05), (x, 0.05)):
-            over_voxel = np.hypot(sigma / voxel, np.sqrt(1.0 / 12.0))
-            assert found == pytest.approx(over_voxel, rel=0.1)
-    assert widths(np.ones((4, 5, 6), dtype=np.float32)) == (np.inf, np.inf, np.inf)
+            assert found == pytest.approx(np.hypot(sigma / voxel, np.sqrt(1.0 / 12.0)), rel=0.1)
+    assert multipass.widths(np.ones((4, 5, 6), dtype=np.float32)) == (np.inf, np.inf, np.inf)
 
 
 def test_narrow_particles_are_widened_by_a_gaussian() -> None:
@@ -263,8 +256,8 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
     expected = gaussian_filter(
         values, sigma, mode="mirror", radius=[int(np.ceil(3.0 * own)) for own in sigma]
     )
-    assert_allclose(widen(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
-    assert widen(values, (0.8, 0.9, 1.0), 0.8) is values
+    assert_allclose(multipass.widen(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
+    assert multipass.widen(values, (0.8, 0.9, 1.0), 0.8) is values
 
 
 @pytest.mark.slow

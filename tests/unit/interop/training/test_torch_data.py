@@ -40,8 +40,7 @@ def test_a_loader_reads_every_sample_by_index(samples: SampleSet, workers: int) 
     assert batches[0]["images"].dtype == torch.uint16
     assert batches[0]["position_mm"].shape == (5, 2, 50, 3)
     row = numbers.index(first.number)
-    images = batches[row // 5]["images"][row % 5].numpy()
-    np.testing.assert_array_equal(images, first.images)
+    np.testing.assert_array_equal(batches[row // 5]["images"][row % 5].numpy(), first.images)
 
 
 @pytest.mark.parametrize("workers", [0, 2])
@@ -54,8 +53,7 @@ def test_batches_have_one_order_for_any_number_of_workers(samples: SampleSet, wo
 
 def test_workers_share_a_stream() -> None:
     stream = functools.partial(sabench.stream, make_scene(), seed=2, batch=2, samples=6)
-    loader = DataLoader(TorchBatches(stream, 300), batch_size=None, **workers_of(2))
-    batches = list(loader)
+    batches = list(DataLoader(TorchBatches(stream, 300), batch_size=None, **workers_of(2)))
     assert [one["number"].tolist() for one in batches] == [[0, 1], [2, 3], [4, 5]]
     expected = next(sabench.stream(make_scene(), seed=2, start=5)).images
     np.testing.assert_array_equal(batches[2]["images"][1:].numpy(), expected)

@@ -262,22 +262,19 @@ def test_errors_are_as_large_as_they_are_said_to_be() -> None:
     """Two renders of different seeds differ by their errors, which keep the limit."""
     what = CASES["bubbles"]
     one, other = (shot(camera(), what, error=0.01, seed=seed) for seed in (1, 5000))
-    again = shot(camera(), what, error=0.01, seed=1)
-    np.testing.assert_array_equal(one.photons, again.photons)
+    np.testing.assert_array_equal(one.photons, shot(camera(), what, error=0.01, seed=1).photons)
     assert one.error <= 0.01
     mean = np.maximum(0.5 * (one.photons + other.photons), 0.02 * 0.5 * FULL)
     off = np.abs(one.photons - other.photons) / mean
     # of the mean modulus of a normal difference
     expected = np.sqrt(2.0) * np.sqrt(2.0 / np.pi) * 0.5 * (one.error + other.error)
     assert 0.5 < off.mean() / expected < 2.0
-    finer = shot(camera(), what, error=0.005)
-    assert finer.error <= 0.005 < one.error
+    assert shot(camera(), what, error=0.005).error <= 0.005 < one.error
 
 
 def test_a_drop_in_air_needs_no_walls() -> None:
     lens = camera(wall=None)
-    drop = bubbles([[0.0, 0.0, 50.0]], [[2.0] * 3], 1.333)
-    seen = shot(lens, drop, tank=Tank(None))
+    seen = shot(lens, bubbles([[0.0, 0.0, 50.0]], [[2.0] * 3], 1.333), tank=Tank(None))
     (center,), _ = lens.project(np.array([[0.0, 0.0, 50.0]]))
     column, row = (int(one) for one in center)
     middle = seen.photons[row - 1 : row + 2, column - 1 : column + 2].mean() / FULL
@@ -348,9 +345,7 @@ def test_a_moving_bubble_is_smeared() -> None:
     assert dark[1].sum() == pytest.approx(dark[0].sum(), rel=0.06)  # the same shadow
     column = np.arange(6, 34)
     middle = [np.sum(column * one) / one.sum() for one in dark]
-    spread = [
-        np.sum((column - m) ** 2 * one) / one.sum() for m, one in zip(middle, dark, strict=True)
-    ]
+    spread = [np.sum((column - m) ** 2 * d) / d.sum() for m, d in zip(middle, dark, strict=True)]
     (left, right), _ = lens.project(np.array([[-1.0, 0.0, 50.0], [1.0, 0.0, 50.0]]))
     # that of 2 mm of way
     assert spread[1] - spread[0] == pytest.approx((right[0] - left[0]) ** 2 / 12.0, rel=0.08)
@@ -362,9 +357,8 @@ def test_surfaces_are_met_to_single_precision_from_far_away() -> None:
     mi = backend.mitsuba()
     from sabench.simulation.rendering.bubble_integrator import _on_bubble
 
-    rng = np.random.default_rng(5)
     center, to_ball = np.array([0.4, -0.3, 1.2]), np.diag([2.0, 1.25, 1.6])
-    aims = center + rng.uniform(-0.15, 0.15, (50, 3))
+    aims = center + np.random.default_rng(5).uniform(-0.15, 0.15, (50, 3))
     sent = np.array([300.0, -200.0, -30000.0])
     ways = (aims - sent) / np.linalg.norm(aims - sent, axis=1)[:, None]
     starts = np.float32(aims - 30000.0 * ways).astype(np.float64)

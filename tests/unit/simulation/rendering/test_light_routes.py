@@ -35,8 +35,7 @@ WALL: dict[str, Any] = {"layers": FRONT, "normal": [0.1, -0.05, 1.0], "depth_mm"
 
 def scene_of(**wall: Any) -> Scene:
     rear = [asdict(one) for one in REAR]
-    light = {"thickness_mm": 1e3}
-    return make_scene(wall=WALL | {"rear": rear} | wall, illumination=light)
+    return make_scene(wall=WALL | {"rear": rear} | wall, illumination={"thickness_mm": 1e3})
 
 
 def routes_of(camera: Camera) -> list[Route]:
@@ -95,10 +94,8 @@ def test_a_ray_from_the_reflected_image_meets_the_particle(kind: str) -> None:
         images = image_particles(scene, camera, cloud(points), None, (), route)
         for point, pixel, seen in zip(points, images.pixel, images.direction, strict=True):
             place, direction = follow(camera, pixel, moves_of(kind))
-            miss = np.linalg.norm(np.cross(point - place, direction))
-            assert miss < 1e-6
-            at_particle = route.at_particle(seen[None])[0]
-            np.testing.assert_allclose(at_particle, direction, atol=1e-9)
+            assert np.linalg.norm(np.cross(point - place, direction)) < 1e-6
+            np.testing.assert_allclose(route.at_particle(seen[None])[0], direction, atol=1e-9)
 
 
 def test_reflected_shares_are_fresnel_s() -> None:

@@ -16,14 +16,12 @@ from tests.helpers.particle_scenes import cloud, make_scene
 def lit(scene: Scene, particles: Particles, towards: F64) -> F64:
     """Send light from particles along unit directions (n, 3), through a narrow lens."""
     scatterers = Scatterers(scene, build_rig(scene).cameras, 0)
-    half = np.full(len(particles), 1e-4)
-    return intensity(scene, particles, -towards, half, scatterers)
+    return intensity(scene, particles, -towards, np.full(len(particles), 1e-4), scatterers)
 
 
 def sideways(count: int) -> F64:
     """Directions near the cameras' that scatter under all azimuths."""
-    rng = np.random.default_rng(1)
-    towards = np.array([0.0, 0.0, -1.0]) + rng.uniform(-0.15, 0.15, (count, 3))
+    towards = np.array([0.0, 0.0, -1.0]) + np.random.default_rng(1).uniform(-0.15, 0.15, (count, 3))
     return np.asarray(towards / np.linalg.norm(towards, axis=1, keepdims=True))
 
 
@@ -51,8 +49,7 @@ def test_a_cloud_attenuates_as_many_shadows_do(scattering: str) -> None:
     light = {"scattering": scattering}
     plain = make_scene(illumination=light)
     size, center = np.asarray(plain.volume.size_mm), np.asarray(plain.volume.center_mm)
-    rng = np.random.default_rng(2)
-    particles = cloud(center + (rng.random((20_000, 3)) - 0.5) * size, 0.02)
+    particles = cloud(center + (np.random.default_rng(2).random((20_000, 3)) - 0.5) * size, 0.02)
     towards = np.tile([0.0, 0.0, -1.0], (20_000, 1))
     scatterers = scatterers_of(plain, build_rig(plain).cameras, 0)
     half = np.full(20_000, 1e-3)
@@ -84,12 +81,10 @@ def test_a_mixture_has_its_shares_and_particles_keep_their_material() -> None:
     tracer = make_scene(tracer=MIXTURE).tracer
     ids = np.arange(100_000)
     numbers = material_numbers(tracer, 5, ids)
-    share = np.bincount(numbers) / len(ids)
-    np.testing.assert_allclose(share, [0.5, 0.3, 0.2], atol=0.006)
+    np.testing.assert_allclose(np.bincount(numbers) / len(ids), [0.5, 0.3, 0.2], atol=0.006)
     np.testing.assert_array_equal(material_numbers(tracer, 5, ids[7::11]), numbers[7::11])
     assert 0.3 < np.mean(material_numbers(tracer, 6, ids) == numbers) < 0.45  # by chance: .38
-    neighbours = np.mean(numbers[1:] == numbers[:-1])
-    assert neighbours == pytest.approx(0.38, abs=0.01)
+    assert np.mean(numbers[1:] == numbers[:-1]) == pytest.approx(0.38, abs=0.01)
 
 
 def test_each_particle_of_a_mixture_scatters_as_its_material() -> None:

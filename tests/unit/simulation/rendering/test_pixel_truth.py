@@ -59,8 +59,7 @@ def test_shares_are_those_of_discs() -> None:
         [[0.0, 0.0, 40.0], [0.0, 0.0, 55.0], [edge, 0.0, 40.0], [0.0, 6.0, 40.0]],
         [[3.0] * 3, [1.0] * 3, [1.0] * 3, [1.0] * 3],
     )
-    seen = see(lens, what)
-    np.testing.assert_allclose(seen.visible, [1.0, 0.0, 0.5, 1.0], atol=0.03)
+    np.testing.assert_allclose(see(lens, what).visible, [1.0, 0.0, 0.5, 1.0], atol=0.03)
 
 
 def test_a_ball_is_seen_alike_as_a_bubble_and_as_a_body() -> None:

@@ -134,12 +134,10 @@ def test_resonances_are_as_sharp_as_they_are() -> None:
 
 
 def test_many_sizes_and_angles_are_those_of_each() -> None:
-    rng = np.random.default_rng(1)
-    sizes, angles = rng.uniform(5.0, 60.0, 700), np.linspace(-0.3, 3.0, 2100)
+    sizes, angles = np.random.default_rng(1).uniform(5.0, 60.0, 700), np.linspace(-0.3, 3.0, 2100)
     together = intensities(GLASS, sizes, angles)
     for i, j in ((0, 0), (511, 2047), (512, 2048), (699, 2099)):
-        alone = intensities(GLASS, sizes[[i]], angles[[j]])
-        for whole, one in zip(together, alone, strict=True):
+        for whole, one in zip(together, intensities(GLASS, sizes[[i]], angles[[j]]), strict=True):
             assert whole[i, j] == pytest.approx(one[0, 0], rel=1e-9)
 
 

@@ -33,8 +33,7 @@ def electrons(mean: float, seed: int, shape: tuple[int, int] = _SHAPE) -> I64:
 def deviates(seed: int, shape: tuple[int, int] = _SHAPE) -> F64:
     """Draw read noise, in its standard deviations; it is rounded to 1/4000."""
     noise = {"shot_noise": False, "read_noise_e": 4000.0, "black_level_dn": 32000.0}
-    sensor = _COUNTER.model_copy(update=noise)
-    grey = expose(sensor, np.zeros(shape), np.random.default_rng(seed))
+    grey = expose(_COUNTER.model_copy(update=noise), np.zeros(shape), np.random.default_rng(seed))
     return np.asarray((grey - 32000.0) / 4000.0)
 
 

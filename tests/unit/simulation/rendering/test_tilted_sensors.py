@@ -113,8 +113,7 @@ def test_a_scene_s_plane_of_focus_is_sharp_through_its_walls(number: int) -> Non
     """Refraction at 45 degrees is in the tilt; what is left is the bend of the plane."""
     scene = load_scene("scheimpflug")
     camera = build_rig(scene).cameras[number]
-    rng = np.random.default_rng(1)
-    points = rng.uniform([-7.0, -5.0, 42.0], [7.0, 5.0, 42.0], (200, 3))
+    points = np.random.default_rng(1).uniform([-7.0, -5.0, 42.0], [7.0, 5.0, 42.0], (200, 3))
     widths = []
     for tilt in (camera.tilt_deg, (0.0, 0.0)):
         images = image_particles(scene, replace(camera, tilt_deg=tilt), cloud(points), None)
@@ -136,8 +135,7 @@ def test_discs_and_diffraction_are_stretched_on_tilted_sensors(tilt: tuple[float
     airy = diffraction_px(narrow, scene.light.wavelength_nm)
     small = image_particles(scene, narrow, cloud(points, 1e-6), None)
     for k, point in enumerate(points):
-        ring = point + (around * 0.2 / 4.0) @ axes[:2]
-        disc = np.cov(camera.project(ring)[0].T, bias=True)
+        disc = np.cov(camera.project(point + (around * 0.2 / 4.0) @ axes[:2])[0].T, bias=True)
         found, exact = large.spread_px2[k] - tiny.spread_px2[k], terms(disc)
         np.testing.assert_allclose(found, exact, rtol=0, atol=0.01 * max(exact))
         chief = (point - np.asarray(camera.center_mm)) @ axes.T

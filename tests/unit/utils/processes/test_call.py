@@ -2,8 +2,6 @@
 
 import operator
 import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,6 +13,7 @@ from sabench.utils.errors import InputError, UncheckedError
 from sabench.utils.processes import call
 from sabench.utils.processes.call import call_isolated, read_isolated
 from tests.conftest import ROOT
+from tests.helpers.commands import run_python, succeed
 from tests.helpers.refusals import refused
 
 
@@ -93,13 +92,9 @@ def one_second(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_process_that_starts_slowly_makes_no_file_damaged(file: Path) -> None:
     """On a busy machine it takes longer to import what it needs than to read the file."""
     (file.parent / "slow_to_import.py").write_text(SLOW_MODULE)
-    words = [sys.executable, "-c", SLOW_START, str(file)]
     paths = os.pathsep.join((str(ROOT), str(file.parent)))
     start = time.monotonic()
-    done = subprocess.run(
-        words, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": paths}
-    )
-    assert done.returncode == 0, done.stderr
+    succeed(run_python("-c", SLOW_START, file, env={"PYTHONPATH": paths}))
     assert time.monotonic() - start > 2.0  # the process did start slowly
 
 

@@ -206,8 +206,7 @@ def test_children_ignore_interrupts_and_this_process_does_not() -> None:
 
 def test_threads_and_modules_of_children() -> None:
     code = "import os, sabench; print(os.environ['NUMBA_NUM_THREADS'])"
-    process = start_python(["-c", code], threads=3)
-    assert process.communicate()[0].split() == [b"3"]
+    assert start_python(["-c", code], threads=3).communicate()[0].split() == [b"3"]
 
 
 def test_code_that_fails_or_hangs_is_a_sentence() -> None:

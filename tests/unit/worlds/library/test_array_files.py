@@ -73,8 +73,7 @@ def as_vtk(path: Path, arrays: Arrays) -> Path:
     grid: Any = vtkRectilinearGrid()
     grid.SetDimensions(*(len(arrays[name][0]) for name in "xyz"))
     for name in "xyz":
-        setter = getattr(grid, f"Set{name.upper()}Coordinates")
-        setter(numpy_to_vtk(arrays[name][0], deep=1))
+        getattr(grid, f"Set{name.upper()}Coordinates")(numpy_to_vtk(arrays[name][0], deep=1))
     values = np.stack([arrays[name][0] for name in "uvw"], axis=-1).reshape(-1, 3)
     velocity = numpy_to_vtk(values, deep=1)
     velocity.SetName("velocity")
@@ -323,14 +322,12 @@ def test_tracks_become_frames(tmp_path: Path) -> None:
     motion = Motion(tracks_scene(3, file=str(tracks_file(tmp_path))), 0)
     first, second, third = (motion.at(frame) for frame in range(3))
     assert (len(first), len(second), len(third)) == (2, 2, 3)
-    moved = second.position_mm[0] - first.position_mm[0]
-    assert_allclose(moved, [0.5, -0.0125, 0.0], atol=1e-12)
+    assert_allclose(second.position_mm[0] - first.position_mm[0], [0.5, -0.0125, 0.0], atol=1e-12)
 
 
 def test_what_trackpy_linked_is_read() -> None:
     """25 particles that move by 0.2 mm along X, and increasingly fast along Y, by trackpy 0.7."""
-    path = ROOT / "tests/data/trackpy-0.7.csv"
-    tracks = tracks_of(path, length="mm", seconds=0.1)
+    tracks = tracks_of(ROOT / "tests/data/trackpy-0.7.csv", length="mm", seconds=0.1)
     domain = Domain((0.0, 0.0, 30.0), (30.0, 30.0, 10.0), 100)
     frames = [tracks.particles(domain, 0, frame, 0.1 * frame) for frame in range(5)]
     for frame, particles in enumerate(frames):
@@ -347,8 +344,7 @@ def series_of(folder: Path, head: str = "") -> Path:
     folder.mkdir()
     for frame in range(11):
         rows = [(*path_of(number, np.array(frame / 20.0)), number) for number in range(3)]
-        lines = [" ".join(f"{value:.17g}" for value in row) for row in rows]
-        text = head + "\n".join(lines) + "\n"
+        text = head + "\n".join([" ".join(f"{value:.17g}" for value in row) for row in rows]) + "\n"
         (folder / f"part_{frame}.dat").write_text(text, encoding="latin-1", newline="\r\n")
     return folder / "part_*.dat"
 
@@ -375,9 +371,7 @@ def test_a_series_of_files_is_one(head: str, tmp_path: Path) -> None:
 
 
 def test_a_share_of_the_tracks_is_kept_in_all_frames(tmp_path: Path) -> None:
-    rows = [
-        (number, frame, number / 100.0, 0.0, frame) for number in range(1000) for frame in (0, 1)
-    ]
+    rows = [(n, frame, n / 100.0, 0.0, frame) for n in range(1000) for frame in (0, 1)]
     path = as_csv(tmp_path / "tracks.csv", XYZ, rows)
     tracks = tracks_of(path, length="mm", seconds=1.0, share=0.3)
     first, later = (tracks.particles(DOMAIN, 5, frame, float(frame)) for frame in (0, 1))
@@ -387,8 +381,7 @@ def test_a_share_of_the_tracks_is_kept_in_all_frames(tmp_path: Path) -> None:
 
 
 def test_a_data_set_keeps_a_series(tmp_path: Path) -> None:
-    path = series_of(tmp_path / "series")
-    scene = tracks_scene(2, file=str(path), **COLUMNS)
+    scene = tracks_scene(2, file=str(series_of(tmp_path / "series")), **COLUMNS)
     first = generate(scene, tmp_path / "one", seed=1, backend="splat")
     assert verify(first.root) == []
     assert len(list((first.root / "given/particles").iterdir())) == 11

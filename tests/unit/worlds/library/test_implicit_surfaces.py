@@ -38,8 +38,7 @@ def body(name: str, seed: int = 1, **parameters: object) -> Solid:
 
 def volume(solid: Solid) -> float:
     """What a closed surface encloses, by Gauss's theorem; negative if it faces inwards."""
-    corners = solid.vertices_mm[solid.faces]
-    return float(np.linalg.det(corners).sum() / 6.0)
+    return float(np.linalg.det(solid.vertices_mm[solid.faces]).sum() / 6.0)
 
 
 def area(solid: Solid) -> float:
