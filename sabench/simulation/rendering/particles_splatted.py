@@ -163,8 +163,9 @@ def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
     most = whole_lanes(size[first:last].max())
     all_terms = _count_terms(np.abs(tilt[first:last]).max())
     across, down = np.zeros((all_terms, most)), np.zeros((all_terms, most))
-    edges, part = np.zeros((3, most + 1)), np.zeros((most, most))
     rows, columns = image.shape
+    edges = np.zeros((3, most + 1))
+    part = np.zeros((min(most, rows), min(most, whole_lanes(columns))))
     for i in range(first, last):
         left, top, width, height = corner[i, 0], corner[i, 1], size[i, 0], size[i, 1]
         lanes, terms = whole_lanes(width), _count_terms(tilt[i])
@@ -182,12 +183,20 @@ def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
             light *= tilt[i]
         if left >= 0 and top >= 0 and left + lanes <= columns and top + height <= rows:
             add_products(image, top, left, down, across, terms, height, lanes)
-        else:
+        else:  # a window may be far larger than the sensor: only what lies on it
+            above, before = max(-top, 0), max(-left, 0)
+            height, width = min(height, rows - top) - above, min(width, columns - left) - before
+            lanes = whole_lanes(width)
+            for n in range(terms):
+                for j in range(height):
+                    down[n, j] = down[n, above + j]
+                for k in range(lanes):
+                    across[n, k] = across[n, before + k] if k < width else 0.0
             part[:height, :lanes] = 0.0
             add_products(part, 0, 0, down, across, terms, height, lanes)
-            for j in range(max(-top, 0), min(height, rows - top)):
-                for k in range(max(-left, 0), min(width, columns - left)):
-                    image[top + j, left + k] += part[j, k]
+            for j in range(height):
+                for k in range(width):
+                    image[top + above + j, left + before + k] += part[j, k]
 
 
 # The n-th term is r^n / n times the difference of h between both edges of a column, times that of a
