@@ -25,6 +25,7 @@ def rooms(package: Path) -> set[str]:
     return found - {"__init__", "__main__", "_plugins"}
 
 
+@cache
 def arrows(package: Path, *, files: bool = False) -> Arrows:
     """Pairs (importer, imported) of rooms, or of files, with imports inside functions."""
     known = {_dotted(file, package.parent) for file in package.rglob("*.py")}

@@ -6,20 +6,20 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.architecture.plan import ROOT
+from tests.architecture.plan import ROOT, syntax
 
 LENGTH = 80  # characters, exclusive
 ENDS = (".", ":", "?")
 HEADLESS = {"What", "Where", "How", "Whether", "Which", "Whose", "Who", "That", "Those"}
 
 
-def docstrings(source: str) -> Iterator[tuple[int, str]]:
+def docstrings(module: ast.Module) -> Iterator[tuple[int, str]]:
     """Yield the line number and the first line of every docstring of a module."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(module):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            text = ast.get_docstring(node)
+            text = ast.get_docstring(node, clean=False)
             if text is not None:
-                yield node.body[0].lineno, text.partition("\n")[0]
+                yield node.body[0].lineno, text.strip().partition("\n")[0]
 
 
 def faults(first: str) -> list[str]:
@@ -39,7 +39,7 @@ def test_first_lines_are_short_and_have_a_head(folder: str) -> None:
     offenders = [
         f"{file.relative_to(ROOT)}:{line}: {fault}: {first}"
         for file in sorted((ROOT / folder).rglob("*.py"))
-        for line, first in sorted(docstrings(file.read_text(encoding="utf-8")))
+        for line, first in sorted(docstrings(syntax(file)))
         for fault in faults(first)
     ]
     assert not offenders, f"{len(offenders)} docstrings\n" + "\n".join(offenders)
@@ -63,7 +63,7 @@ def test_a_bad_first_line_is_found(first: str, fault: str | None) -> None:
 
 def test_docstrings_of_modules_classes_and_functions_are_read() -> None:
     source = '"""A."""\nclass B:\n    """B.\n\n    More."""\n    async def c(self):\n        "C."\n'
-    assert sorted(docstrings(source)) == [(1, "A."), (3, "B."), (7, "C.")]
+    assert sorted(docstrings(ast.parse(source))) == [(1, "A."), (3, "B."), (7, "C.")]
 
 
 def test_files_that_sources_and_docs_name_exist() -> None:

@@ -290,6 +290,7 @@ def test_tracks_of_other_programs_count(moving: Dataset, tmp_path: Path) -> None
         assert score(moving, result)["link_recall"] == expected
 
 
+@pytest.mark.slow
 def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
     found = perturbed(moving)
     good: dict[str, Any] = {

@@ -460,6 +460,7 @@ def test_other_numbers_cost_nothing_between_groups_and_all_links_between_pulses(
             assert scores["switch_percent"] == 100.0
 
 
+@pytest.mark.slow_but_first
 def test_a_drift_is_the_error_of_velocities(recording: Dataset, tmp_path: Path) -> None:
     """Whatever the spacing of the pulses: positions err by a velocity times the time."""
 
@@ -474,6 +475,7 @@ def test_a_drift_is_the_error_of_velocities(recording: Dataset, tmp_path: Path) 
     assert scores["displacement_mm"] == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow_but_first
 def test_claimed_velocities_are_those_at_the_pulse(recording: Dataset, tmp_path: Path) -> None:
     """The mean velocity between two pulses differs, as particles accelerate."""
 
@@ -485,6 +487,7 @@ def test_claimed_velocities_are_those_at_the_pulse(recording: Dataset, tmp_path:
     assert scores["velocity_mm_s"] == pytest.approx(np.linalg.norm(DRIFT_MM_S), rel=1e-3)
 
 
+@pytest.mark.slow_but_first
 def test_accelerations_need_three_equal_intervals(recording: Dataset, tmp_path: Path) -> None:
     extra = np.array([30.0, -40.0, 0.0])  # mm/s2
 

@@ -359,8 +359,8 @@ def test_the_model_stops_at_the_edge_of_its_range() -> None:
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"cameras.layout.columns": 8, "cameras.layout.rows": 8}, "cameras.layout"),
         ({"grid.voxel_mm": [0.05, 0.05, 0.5]}, "grid.voxel_mm"),
+        ({"cameras.layout.columns": 8, "cameras.layout.rows": 8}, "cameras.layout"),
         ({"particles.per_pixel": 0.001}, "particles.per_pixel"),
         ({"calibration": {"shift_px": 3.0}}, "calibration"),
     ],

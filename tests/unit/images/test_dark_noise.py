@@ -59,6 +59,7 @@ def test_particles_hardly_change_the_noise(
     assert np.median(found.noise) == pytest.approx(noise, rel=0.12)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("per_pixel", [0.1, pytest.param(0.5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("black", "noise", "bits", "peak", "most"),

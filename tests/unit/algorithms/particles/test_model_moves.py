@@ -128,6 +128,7 @@ def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(maps: Maps) ->
         assert sure.sum() == 2 - expected
 
 
+@pytest.mark.slow
 def test_true_particles_stay_and_nothing_moves(maps: Maps) -> None:
     points, light = 0.5 * unit_points(30), even_light(30)
     model, room, particles = subtracted(maps, noisy(maps, points, light), points, light)
