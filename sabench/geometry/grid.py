@@ -14,7 +14,7 @@ from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.errors import InputError
 
-_AT_ONCE = 4096  # particles with voxels in memory at a time
+_AT_ONCE = 2**22  # voxels of particles in memory at a time
 _REACH = 4.0  # standard deviations after which a particle's field is cut: 3e-4 of its peak
 
 
@@ -109,16 +109,24 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     radius = np.ceil(_REACH * sigma + 0.5).astype(np.int64)
     size = np.asarray(grid.shape[::-1])
     near = ((voxels >= -1.0 - radius) & (voxels <= size + radius)).all(axis=1) & (weights != 0.0)
-    voxels = voxels[near]
-    nearest = np.rint(voxels).astype(np.int64)
-    x, y, z = (
-        _profile(voxels[:, i], nearest[:, i], int(radius[i]), float(sigma[i])) for i in range(3)
-    )
+    nearest = np.rint(voxels[near]).astype(np.int64)
+    offset = nearest - voxels[near]
+    # images at a wrong camera may be of any width: a window wider than the field is the field
+    whole = 2 * radius + 1 > size
+    count = np.where(whole, size, 2 * radius + 1)
+    first, light = np.where(whole, 0, nearest - radius), weights[near].astype(np.float32)
+    begin = first - nearest
     field: F32 = np.zeros(grid.shape, dtype=np.float32)
-    first, light = nearest - radius, weights[near].astype(np.float32)
-    for begin in range(0, len(first), _AT_ONCE):
-        some = slice(begin, begin + _AT_ONCE)
-        _add_particles(field, first[some], light[some, None] * z[some], y[some], x[some])
+    at_once = max(1, _AT_ONCE // int(count.prod()))
+    for row in range(0, len(first), at_once):
+        some = slice(row, row + at_once)
+        x, y, z = (
+            _profile(
+                offset[some, i], begin[some, i], int(count[i]), int(radius[i]), float(sigma[i])
+            )
+            for i in range(3)
+        )
+        _add_particles(field, first[some], light[some, None] * z, y, x)
     return field
 
 
@@ -139,13 +147,19 @@ def _add_particles(field: F32, first: I64, along_z: F32, along_y: F32, along_x: 
     np.add.at(field.reshape(-1), voxels.reshape(-1), light.reshape(-1))
 
 
-def _profile(voxels: F64, nearest: I64, radius: int, sigma: float) -> F32:
-    """Compute means of Gaussians of peak 1 over the voxels about the nearest.
+def _profile(offset: F64, begin: I64, count: int, radius: int, sigma: float) -> F32:
+    """Compute means of Gaussians of peak 1 over voxels; 0 beyond the radius.
 
-    Returns (n, 2 radius + 1), along one axis.
+    Returns (n, count), along one axis.
+
+    Parameters
+    ----------
+    offset : (n,) of the nearest voxel from the Gaussian's centre.
+    begin : (n,) the first voxel, counted from the nearest.
     """
-    edges = np.arange(-radius, radius + 2)[None] - 0.5 + (nearest - voxels)[:, None]
+    edges = begin[:, None] + np.arange(count + 1) - 0.5 + offset[:, None]
     mean = sigma * np.sqrt(2.0 * np.pi) * gaussian_shares(edges, sigma)
+    mean[np.abs(begin[:, None] + np.arange(count)) > radius] = 0.0
     return np.asarray(mean, dtype=np.float32)
 
 

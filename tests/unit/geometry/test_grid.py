@@ -113,6 +113,11 @@ def test_a_part_of_a_grid_has_the_values_of_the_whole() -> None:
         assert field.max() > 0.0
 
 
+def test_a_particle_wider_than_the_field_fills_it_evenly() -> None:
+    field = synthesise(GRID, np.full((300, 3), 0.5), np.full(300, 2.0), 1e6)
+    assert_allclose(field, np.full(GRID.shape, 600.0), rtol=1e-5)
+
+
 @pytest.mark.parametrize("far_mm", [1e3, 1e12, 1e30])
 def test_particles_however_far_away_add_nothing(far_mm: float) -> None:
     positions = far_mm * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, -1.0, 1.0]])
