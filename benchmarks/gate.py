@@ -144,18 +144,19 @@ def is_alarmed(bug: Bug, tree: Path, baseline: Path, suite: str) -> bool:
 def is_tested(bug: Bug, tree: Path) -> bool:
     """Run the tests of a bug on a copy with it; print the first that fails."""
     start = time.perf_counter()
-    words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", bug.tests]
+    words = [sys.executable, "-m", "pytest", "-x", "-q", "-rf", "-p", "no:cacheprovider", bug.tests]
     environment = _environment(tree)
     done = subprocess.run(
         words, cwd=tree, env=environment, capture_output=True, text=True, check=False
     )
-    failed = next((line for line in done.stdout.splitlines() if line.startswith("FAILED")), "")
+    failed = done.returncode == 1
+    first = next((line for line in done.stdout.splitlines() if line.startswith("FAILED")), "")
     print(
         f"{'caught' if failed else 'MISSED'}  {time.perf_counter() - start:4.0f} s  {bug.title} | "
-        f"{failed.partition(' - ')[0] or done.stdout[-500:]}",
+        f"{first.partition(' - ')[0] if failed else done.stdout[-500:]}",
         flush=True,
     )
-    return bool(failed)
+    return failed
 
 
 def _environment(tree: Path) -> dict[str, str]:
