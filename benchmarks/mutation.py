@@ -44,6 +44,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numba
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -275,6 +276,7 @@ def _pytest(tree: Path, words: list[str], plugin: object, cpu_s: float) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     os.chdir(tree)
     os.environ |= {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(tree / "kernels")}
+    numba.config.reload_config()  # else it does so later, and forgets the folder of the sources
     sys.path.insert(0, str(tree))
     options = ["-x", "-q", "--tb=short"]
     for name in ("cacheprovider", "xdist", "hypothesispytest"):  # the last takes 1 s a session

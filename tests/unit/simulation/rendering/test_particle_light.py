@@ -9,7 +9,7 @@ from sabench.api.truth import Particles
 from sabench.scenes import Scene, build_rig
 from sabench.simulation.rendering.particle_light import Scatterers, intensity, scatterers_of
 from sabench.utils.arrays import F64
-from sabench.worlds.tracers import material_numbers
+from sabench.worlds.tracers import lattice_diameters_mm, material_numbers, size_numbers
 from tests.helpers.particle_scenes import cloud, make_scene
 
 
@@ -32,6 +32,17 @@ def test_small_polarised_particles_shine_as_dipoles(field: tuple[float, float, f
     found = lit(make_scene(illumination=light), small, towards)
     dipole = 1.0 - (towards @ np.asarray(field)) ** 2
     np.testing.assert_allclose(found / found.max(), dipole / dipole.max(), atol=2e-3)
+
+
+def test_each_particle_has_its_own_series_in_place_of_a_mean() -> None:
+    """Neighbours of other sizes change nothing; 2 % in diameter change a factor."""
+    diameters = lattice_diameters_mm(size_numbers(np.linspace(0.02, 0.0204, 40)))
+    particles, towards = cloud(np.tile([0.0, 0.0, 30.0], (40, 1)), diameters), sideways(1)
+    scene = make_scene(illumination={"scattering": "mie"})
+    light = lit(scene, particles, np.repeat(towards, 40, axis=0))
+    alone = [lit(scene, cloud(np.array([[0.0, 0.0, 30.0]]), one), towards)[0] for one in diameters]
+    np.testing.assert_allclose(light, alone, rtol=1e-6)
+    assert light.max() > 1.5 * light.min()
 
 
 def test_unpolarised_light_is_the_mean_of_two_polarisations() -> None:
