@@ -576,6 +576,7 @@ def test_axe_finds_nothing(
     assert found == []
 
 
+@pytest.mark.slow
 def test_marks_of_results_are_kept_in_the_ranking(browser: Browser, tmp_path: Path) -> None:
     """A program's seconds, a solver that was not confined in one case, a sender, a copy."""
     sent = {"submission": {"name": "Ann", "date": "2026-01-02"}}

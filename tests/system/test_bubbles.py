@@ -305,6 +305,7 @@ def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
             score(moving, foreign(tmp_path / f"{number}.h5", moving, found, **track))
 
 
+@pytest.mark.slow
 def test_no_track_goes_from_one_group_of_pulses_to_the_next(moving: Dataset) -> None:
     one = moving.bubbles(0)
     change = {"frames": 5, "pulses": 2, "times_s": (0.0, 1e-3, 1.0, 1.001, 2.0)}

@@ -265,6 +265,7 @@ def test_without_webgl_there_is_a_sentence_and_the_rest(browser: Browser, pictur
         browser.devtools("Page.removeScriptToEvaluateOnNewDocument", **added)
 
 
+@pytest.mark.slow
 def test_without_scripts_there_are_drawings_and_tables(browser: Browser, pictured: Path) -> None:
     browser.devtools("Emulation.setScriptExecutionDisabled", value=True)
     try:
