@@ -79,7 +79,7 @@ class Elements(HTMLParser):
         self.words.append(data)
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [HOSTILE, "<img src=x>", "' onclick='x", "</table>", "&lt;b>"])
 def test_no_text_of_a_record_is_markup(tmp_path: Path, name: str) -> None:
     """The page has the same elements, and the static table the text of the record as it is."""

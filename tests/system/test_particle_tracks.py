@@ -80,6 +80,7 @@ def test_an_image_sequence_is_tracked(name: str, sequence: Dataset, tmp_path: Pa
     assert scores["peak_mb"] > 50.0
 
 
+@pytest.mark.slow
 def test_particles_are_scored_where_the_task_is_asked_for(sequence: Dataset) -> None:
     true = score(sequence, "truth", "particles")
     for key in ("f1", "link_recall", "link_precision", "effectiveness", "hota"):

@@ -47,6 +47,7 @@ def test_steps_are_shown_with_their_peaks(command: Command, data: Dataset, tmp_p
     refuse(command("preprocess", str(data.root), "-o", str(picture)), "preview.png")
 
 
+@pytest.mark.slow
 def test_peaks_are_those_of_the_particles(command: Command, data: Dataset) -> None:
     by_name = stages(command, data.root, "--camera", data.setup.cameras[1].name, "--frame", 1)
     assert by_name == stages(command, data.root, "--camera", 1, "--frame", 1)
@@ -69,6 +70,7 @@ def test_a_plain_image(
     assert seen[0]["peaks"] > 10
 
 
+@pytest.mark.slow
 def test_what_is_no_image_is_refused(command: Command, data: Dataset, tmp_path: Path) -> None:
     text, movie, grey = tmp_path / "a.png", tmp_path / "a.avi", tmp_path / "b.png"
     text.write_text("no image")

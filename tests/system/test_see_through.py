@@ -99,7 +99,7 @@ def test_a_bent_code_is_read_on_its_cylinder(tmp_path: Path, command: Command) -
     refuse(command("refocus", "data", "-o", "wall"), "wall")
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "key"),
     [

@@ -120,6 +120,7 @@ def test_defocus_at_the_end_of_the_depth_of_field_is_as_wide_as_diffraction() ->
     assert disc == pytest.approx(airy, rel=0.1)
 
 
+@pytest.mark.slow
 def test_defocus_falls_as_the_f_number_rises() -> None:
     wide, narrow = (plan(changed(cameras__f_number=stop)) for stop in (4.0, 8.0))
     assert value(wide, "blur_back_px") == pytest.approx(2 * value(narrow, "blur_back_px"), rel=0.01)
@@ -153,6 +154,7 @@ def test_the_brightest_pixel_is_that_of_a_simulated_particle_at_a_pixel_s_centre
     assert 0.55 * grey < brightest <= 1.01 * grey  # in a corner of four pixels, at a centre
 
 
+@pytest.mark.slow
 def test_two_pulses_straddle_the_gap_between_exposures() -> None:
     made = plan("vortex-ring-experiment", RecordingSystem(gap_us=250.0))
     first, second = (value(made, f"{name}_pulse_us") for name in ("first", "second"))

@@ -49,6 +49,7 @@ def test_stored_samples_are_those_of_the_stream(whole: SampleSet) -> None:
             assert stored.true_cameras == one.rig.cameras
 
 
+@pytest.mark.slow
 def test_solvers_see_the_nominal_cameras_of_each_sample(whole: SampleSet) -> None:
     first, other = whole[0], whole[1]
     by_stream = next(stream(scene(), seed=4, start=first.number)).samples[0]

@@ -80,6 +80,7 @@ def test_only_components_in_the_sheet_count(tmp_path: Path) -> None:
     assert velocimetry.score_pair(data, (0, 1), solid)["v_p90_voxel"] == pytest.approx(0.06 / 0.05)
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_planar_field_is_the_mean_over_the_sheet(tmp_path: Path) -> None:
     """A shear across the sheet cancels, a curvature does not: du/dz^2 by a vortex about X."""
     data = data_of(tmp_path, {"flow.axis": [1.0, 0.0, 0.0], "illumination.thickness_mm": 1.0})

@@ -229,6 +229,7 @@ def test_the_measured_error_tells_the_true_one() -> None:
     assert np.mean(ratios) == pytest.approx(bound.efficiency, rel=0.06)
 
 
+@pytest.mark.slow
 def test_outliers_are_found_and_left_out() -> None:
     _, state, seen = truth()
     rng = np.random.default_rng(2)

@@ -166,6 +166,7 @@ def test_the_plain_method_is_worse_and_still_right() -> None:
     assert plain.max() < 0.6
 
 
+@pytest.mark.slow
 def test_vectors_lie_at_the_middles_of_their_windows() -> None:
     case, _ = pair_of("linear_flow", velocity_mm_s=(0.1, 0.0, 0.0))
     field = solved(case, overlap=0.5)
@@ -175,6 +176,7 @@ def test_vectors_lie_at_the_middles_of_their_windows() -> None:
     assert_allclose(field.step_mm, [0.8, 0.8, 0.8])
 
 
+@pytest.mark.slow
 def test_windows_without_signal_are_invalid_and_finite() -> None:
     case, _ = pair_of("linear_flow", velocity_mm_s=(0.1, 0.0, 0.0))
     first, second = case.first.copy(), case.second.copy()
