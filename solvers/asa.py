@@ -38,7 +38,7 @@ class Asa(Solver):
     Parameters = AsaParameters
 
     def skip(self, case: Observation) -> str | None:
-        """Skip cameras that see planes of constant Z edge-on."""
+        """Decline a case with a camera that sees planes of constant Z edge-on."""
         return find_edge_on(case.cameras, case.grid)
 
     def solve(self, case: Observation) -> Reconstruction:

@@ -10,7 +10,6 @@ import typer
 from sabench.cli import options, tables
 
 if TYPE_CHECKING:
-    pass
     from sabench.algorithms.refocus import Join
     from sabench.tasks.quality import Quality
 

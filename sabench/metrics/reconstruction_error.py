@@ -182,24 +182,18 @@ def _climb(volume: F32, step: U8, summits: I64) -> F64:
 
 
 _DETECTION = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
-SCORE_KEYS = (
-    "q",
-    "peak_f1",
-    "intensity_error",
-    *_DETECTION,
-    *(f"peak_{key}" for key in _DETECTION),
-)
 
 
 def score_frame(
     grid: Grid, particles: Particles, views: Sequence[ParticleView], estimate: Reconstruction
 ) -> dict[str, float | None]:
-    """Score one frame's estimate against its true particles; the keys are `SCORES`."""
+    """Score one frame's estimate against its true particles."""
     truth, peaks = grid.to_voxels(particles.position_mm), _peaks(grid, estimate)
     scored = grid.in_scored(truth)
     # an estimate that lists particles replaces both ways of detection
     detected = detection.detect(estimate.volume) if estimate.particles_mm is None else peaks
     counts: dict[str, float | None] = {}
+    f1: dict[str, float | None] = {}
     for prefix, points in (("", detected), ("peak_", peaks)):
         arguments = points, truth, grid.in_scored(points), scored
         thesis = detection.count_thesis(*arguments)
@@ -207,10 +201,11 @@ def score_frame(
         figures = thesis.true_percent, thesis.ghost_percent, challenge.precision
         for key, value in zip(_DETECTION, (*figures, challenge.recall, challenge.rms), strict=True):
             counts[prefix + key] = value
+        f1[prefix] = challenge.f1
     light = intensity_error(estimate.volume, peaks, truth, brightness(views), scored)
     memory.trim()
     q = quality(estimate.volume[grid.scored], true_field(grid, particles, views)[grid.scored])
-    return {"q": q, "peak_f1": challenge.f1, "intensity_error": light, **counts}
+    return {"q": q, "peak_f1": f1["peak_"], "intensity_error": light, **counts}
 
 
 def peak_f1_over_distance(grid: Grid, particles: Particles, estimate: Reconstruction) -> F64:

@@ -124,7 +124,7 @@ class Frames:
     renderer : mitsuba or splat.
 
     Raises InputError for tracers among bubbles or bodies under a pulse of finite duration; a scene
-    of samples that vary, which `streaming` draws.
+    of samples that vary, which `sabench.stream` draws.
     """
 
     def __init__(self, scene: Scene, rig: Rig, seed: int, renderer: str = "mitsuba") -> None:

@@ -205,12 +205,12 @@ def score(
     Parameters
     ----------
     task : task for scoring `truth` or `empty`, where a data set serves several. None: the first
-        task for the kind of objects that the data set shows. A result file has its own.
+        task for the kind of objects that the data set shows last. A result file has its own.
 
     Returns
     -------
-    A flat dict: dataset, task, solver, parameters, the task's scores, seconds, peak_mb; None where
-    a score does not apply.
+    A flat dict: dataset, task, solver, parameters, the task's scores and costs (`costs_of`); None
+    where a score does not apply.
 
     Raises
     ------

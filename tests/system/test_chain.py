@@ -14,7 +14,6 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import result_writer
 from sabench.dataset.schema import image_name
 from sabench.dataset.verification import verify
-from sabench.metrics.reconstruction_error import SCORE_KEYS
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import simulate, simulate_sequence
 from sabench.utils.files import sha256
@@ -113,8 +112,8 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
     succeed(command("solve", "msa", quick.root, "-o", "r.h5", "-p", "k=2.5", "-p", "keep=whole"))
     scores = json.loads(command("score", quick.root, "r.h5", "--json").stdout)
     about = "dataset task solver parameters seconds peak_mb compile_s isolated whole_process"
-    curve = (point.key for point in tasks.of("reconstruction").curve)
-    assert set(scores) == {*about.split(), *SCORE_KEYS, *curve}
+    task = tasks.of("reconstruction")
+    assert set(scores) == {*about.split(), *(one.key for one in (*task.scores, *task.curve))}
     assert scores["dataset"] == quick.content_hash
     assert scores["parameters"]["k"] == 2.5
     assert scores["seconds"] > 0

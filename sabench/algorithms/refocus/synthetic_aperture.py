@@ -1,10 +1,11 @@
 """Synthetic aperture refocusing: views of all cameras, added or multiplied.
 
 A voxel x becomes the product over the cameras i of max(floor, I_i(project_i(x))) to the power n, or
-their mean. All else makes this fast, to 0.01 px: `slabs` fits the projection of some planes by
-polynomials, `rectification` warps each image once so that a plane is a constant shift, and
-`cpu_kernels` add or multiply shifted rows. On a GPU each sample is a gather by Dr.Jit, from the
-same slabs and rectified images, so that the volumes are the same.
+their mean; here are the sums, of samples or of their logarithms, which solvers divide and raise.
+All else makes this fast, to 0.01 px: `slabs` fits the projection of some planes by polynomials,
+`rectification` warps each image once so that a plane is a constant shift, and `cpu_kernels` add or
+multiply shifted rows. On a GPU each sample is a gather by Dr.Jit, from the same slabs and rectified
+images, so that the volumes are the same.
 """
 
 import functools
@@ -32,12 +33,12 @@ _GPU_PLANES = 1 << 24  # voxels computed simultaneously: bounds the device's mem
 Fold = Callable[[Any, Sequence[Any]], Any]
 
 
-def _sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
+def _sum_planes_on_device(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
     """Sum images as `cpu_kernels.sum_planes`, by exact maps."""
     _sweep(rectified, slab, grid, outside, lambda dr, samples: sum(samples), out)
 
 
-def _multiply_planes(
+def _multiply_planes_on_device(
     rectified: F32, slab: Slab, grid: Grid, outside: float, floor: float, out: F32
 ) -> None:
     """Multiply images as `cpu_kernels.multiply_planes`, with exact maps."""
@@ -136,7 +137,7 @@ def refocus_sum(
     volume = np.empty(grid.shape, dtype=np.float32)
     for view, rectified, part in _parts(images, cameras, grid, outside, volume):
         if _on_device():
-            _sum_planes(rectified, view.slab, grid, outside, part)
+            _sum_planes_on_device(rectified, view.slab, grid, outside, part)
         else:
             tiles = view.tiles
             on_cores(cpu_kernels.sum_planes, len(tiles), rectified, LINEAR, tiles, outside, part)
@@ -176,7 +177,7 @@ def refocus_log2(
     largest = float(max(images.max(initial=0.0), outside, 1.0))
     for view, rectified, part in _parts(images, cameras, grid, outside, volume):
         if _on_device():
-            _multiply_planes(rectified, view.slab, grid, outside, floor, part)
+            _multiply_planes_on_device(rectified, view.slab, grid, outside, floor, part)
         else:
             tiles, limits = view.tiles, (outside, floor, 2.0 * largest)
             on_cores(cpu_kernels.multiply_planes, len(tiles), rectified, tiles, *limits, part)

@@ -1,6 +1,6 @@
 """Particle images in one camera: light paths and routes, position, photons, size.
 
-Both renderers start from these figures. The lens is a round aperture. Moving the pinhole over it
+All renderers start from these figures. The lens is a round aperture. Moving the pinhole over it
 gives, through the wall, the directions of light from a particle that pass it: the spread of these
 directions is the solid angle of the lens, the spread of the pixels is the defocus.
 

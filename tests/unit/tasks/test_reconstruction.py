@@ -5,8 +5,9 @@ import pytest
 
 from sabench.api import Reconstruction
 from sabench.api.truth import ParticleView
-from sabench.metrics.reconstruction_error import SCORE_KEYS, brightness, score_frame, true_field
+from sabench.metrics.reconstruction_error import brightness, score_frame, true_field
 from sabench.simulation.in_memory import Shot, simulate
+from sabench.tasks.reconstruction import TASK
 from tests.helpers.particle_scenes import cloud, make_scene
 
 
@@ -23,7 +24,7 @@ def test_truth_is_perfect_and_empty_is_the_floor_by_both_rules(shot: Shot) -> No
     field = true_field(shot.observation.grid, shot.particles, shot.views)
     best = scores_of(shot, Reconstruction(field, shot.particles.position_mm))
     floor = scores_of(shot, Reconstruction(np.zeros_like(field)))
-    assert tuple(best) == tuple(floor) == SCORE_KEYS
+    assert tuple(best) == tuple(floor) == tuple(score.key for score in TASK.scores)
     for rule in ("", "peak_"):
         shares = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
         keys = [rule + key for key in shares]
