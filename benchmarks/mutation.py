@@ -560,9 +560,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument(
         "--budget", type=float, default=60.0, help="CPU seconds of the tests that are chosen"
     )
-    parser.add_argument(
-        "--tests", nargs="+", default=["tests/unit", "tests/regression"], help="folders or files"
-    )
+    parser.add_argument("--tests", nargs="+", default=["tests/unit"], help="folders or files")
     parser.add_argument("--jobs", type=int, default=1, help="mutants that run side by side")
     parser.add_argument("--work", type=Path, default=ROOT / "work" / "mutation")
     parser.add_argument("--again", action="store_true", help="run known survivors again")

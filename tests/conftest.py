@@ -41,7 +41,7 @@ _seconds = pytest.StashKey[float]()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--update-golden", action="store_true", help="store the figures of tests/regression anew"
+        "--update-golden", action="store_true", help="store the figures of the quick scene anew"
     )
     parser.addoption(
         "--update-sentences", action="store_true", help="store the sentences of errors anew"

@@ -158,6 +158,7 @@ def prepared(change: float) -> tuple[Any, F64, F64, F64]:
     return renderer, position, logs + 0.1 * rng.standard_normal(logs.shape), images
 
 
+@pytest.mark.slow
 def test_images_and_cost_are_those_of_the_formula() -> None:
     renderer, position, logs, images = prepared(1.0)
     exact = painted(position, logs, 1.0)

@@ -50,7 +50,7 @@ def parallel_cameras(**camera: Any) -> Scene:
     return parse_scene(values, "parallel")
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "ratio", "pixel", "per_pixel"),
     [("thesis-50x50x10", 2.50, 0.05, 0.125), ("array-9", 2.50, 0.05, 0.075)],

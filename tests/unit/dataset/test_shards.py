@@ -41,6 +41,7 @@ def test_places_count_from_both_ends(samples: SampleSet) -> None:
             samples[place]
 
 
+@pytest.mark.slow
 def test_batches_hold_every_sample_once(samples: SampleSet) -> None:
     batches = list(samples.batches(4))
     assert [len(batch.images) for batch in batches] == [4, 4, 4, 4, 4, 1]

@@ -127,6 +127,7 @@ def test_aiming_puts_the_target_on_the_principal_point(wall: Wall | None, lens: 
     assert_allclose(camera.project([[3.0, 4.0, 40.0]])[0][0], expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_pixels_that_the_lens_does_not_reach_collect_nothing() -> None:
     size = {"rows": 400, "columns": 600, "pixel_mm": 0.02, "principal_point_px": (310.0, 190.0)}
     found = make_camera(distortion=Distortion(k1=-0.3), **size).etendue()

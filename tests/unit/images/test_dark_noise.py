@@ -59,8 +59,8 @@ def test_particles_hardly_change_the_noise(
     assert np.median(found.noise) == pytest.approx(noise, rel=0.12)
 
 
-@pytest.mark.slow_but_first
-@pytest.mark.parametrize("per_pixel", [0.1, pytest.param(0.5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("per_pixel", [0.1, 0.5])
 @pytest.mark.parametrize(
     ("black", "noise", "bits", "peak", "most"),
     [
@@ -124,6 +124,7 @@ def test_level_and_noise_are_those_of_their_place() -> None:
     assert np.abs(found.noise / (3.0 + 9.0 * x) - 1.0).max() < 0.35
 
 
+@pytest.mark.slow
 def test_several_frames_tell_more_than_one() -> None:
     rng = np.random.default_rng(9)
     images = np.stack([grey(normal(rng, 100.0, 6.0)) for _ in range(6)])

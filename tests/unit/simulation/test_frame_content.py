@@ -114,6 +114,7 @@ def test_short_pulses_in_all_exposures_are_recorded_alike() -> None:
         np.testing.assert_array_equal(a.pixel, b.pixel)
 
 
+@pytest.mark.slow
 def test_continuous_light_shows_particles_where_they_are_when_a_camera_is_open() -> None:
     delay, exposure, light = 2e-3, 0.2e-3, 8e-3
     skewed = scene({"duration_s": light, "skew_s": skews(c1=delay)}, exposure)

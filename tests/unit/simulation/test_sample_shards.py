@@ -207,6 +207,7 @@ main.main()
     assert len(before) == 2
 
 
+@pytest.mark.slow
 def test_options_choose_truth_and_compression(whole: SampleSet, tmp_path: Path) -> None:
     light = make(tmp_path / "light", samples=3, truth=["radiance"], compression="gzip")
     plain = make(tmp_path / "none", samples=3, truth=[])

@@ -62,7 +62,7 @@ def test_any_frame_is_the_same_by_itself() -> None:
     assert_array_equal(motion.at(1).position_mm, ordered[1].position_mm)
 
 
-@pytest.mark.slow_but_first
+@pytest.mark.slow
 @pytest.mark.parametrize("flow", [ABC, WIND])
 def test_the_density_stays_even(flow: dict[str, Any]) -> None:
     scene = moving_scene(flow=flow, frames=40)

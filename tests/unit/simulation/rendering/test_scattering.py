@@ -80,6 +80,7 @@ def test_forward_and_backward_light_are_in_reach() -> None:
     np.testing.assert_allclose(found, direct(size, angles, 0.001, np.full(4, 0.5)), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_tables_grow_where_other_angles_occur() -> None:
     """Outside its range the table is not extrapolated, and what it held stays the same."""
     rng = np.random.default_rng(5)

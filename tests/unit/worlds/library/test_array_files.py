@@ -290,6 +290,7 @@ def field_scene(path: Path) -> Scene:
     return moving_scene(frames=2, interval_s=0.001, flow=table)
 
 
+@pytest.mark.slow
 def test_a_data_set_keeps_its_field(tmp_path: Path) -> None:
     original = as_hdf5(tmp_path / "field.h5", lattice())
     scene = field_scene(original)
