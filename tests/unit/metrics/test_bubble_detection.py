@@ -109,6 +109,14 @@ def test_figures_of_a_jet_are_those_of_its_law() -> None:
     largest = air90 * LN2 / (np.pi * radius**2)
     assert figures.total[4] == pytest.approx(np.pi**1.5 * largest * radius / np.sqrt(LN2), rel=0.15)
     assert figures.half_radius_mm[4] == pytest.approx(radius, rel=0.2)
+    assert_array_equal(figures.largest[:6], figures.concentration[:6, 0])
+    # air in a cone a tenth wider than the cloud at its end
+    slope, end = 1.1 * np.tan(np.deg2rad(figures.angle_deg)), figures.penetration_mm
+    above = y <= end
+    air = (law.air_mm2(y) * -np.expm1(-LN2 * (slope * y) ** 2 / half**2))[above]
+    cone = np.pi * slope**2 * end**3 / 3.0
+    expected = 100.0 * np.trapezoid(air, y[above]) / cone
+    assert figures.cone_percent == pytest.approx(expected, rel=0.02)
 
 
 def test_false_detections_belong_to_the_bubble_that_they_are_in() -> None:
