@@ -167,7 +167,7 @@ def shots() -> dict[float, Shot]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["asa", "msa", "block_mart", "mlos_sart", "bayesian_ipr"])
+@pytest.mark.parametrize("name", ["msa", "mlos_sart", "bayesian_ipr"])
 def test_flaws_cost_next_to_nothing(name: str, shots: dict[float, Shot]) -> None:
     shot, kind = (shots[0.05], "q") if name in VOLUMES else (shots[0.02], "f1")
     cases = dict(cases_of(shot, 2))
