@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.api import Solid
@@ -16,8 +17,6 @@ _SLOW = 1e6  # mm2/s: the Reynolds number is 6e-6
 
 
 def ball(radius_mm: float = _RADIUS_MM) -> Solid:
-    import trimesh
-
     made = trimesh.creation.icosphere(subdivisions=3, radius=radius_mm)
     return Solid(np.asarray(made.vertices), np.asarray(made.faces, dtype=np.int64))
 
@@ -80,6 +79,16 @@ def test_points_in_a_ball_are_those_within_its_radius() -> None:
     radius = np.linalg.norm(points, axis=1)
     clear = np.abs(radius - _RADIUS_MM) > 0.03  # of the facets
     assert_array_equal(contains(ball(), points)[clear], (radius < _RADIUS_MM)[clear])
+
+
+def test_a_point_on_a_face_belongs_to_one_of_two_bodies_that_share_it() -> None:
+    points = np.mgrid[0:9, 0:9, 0:9].reshape(3, -1).T / 4.0
+    for axis in range(3):
+        cube = trimesh.creation.box(bounds=[[0.0] * 3, [1.0] * 3])
+        beside = cube.vertices + np.eye(3)[axis]
+        both = [contains(Solid(np.array(v), cube.faces), points) for v in (cube.vertices, beside)]
+        assert [inside.sum() for inside in both] == [64, 64]
+        assert not (both[0] & both[1]).any()
 
 
 def test_a_body_smaller_than_a_step_is_refused() -> None:
