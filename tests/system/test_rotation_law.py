@@ -228,6 +228,7 @@ def find_in(case: api.Observation) -> api.FoundParticles:
 @pytest.mark.parametrize(
     "rotation",
     [
+        [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
         [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
         [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
     ],

@@ -1,7 +1,7 @@
 """Synthetic aperture refocusing: views of all cameras, added or multiplied.
 
 A voxel x becomes the product over the cameras i of max(floor, I_i(project_i(x))) to the power n, or
-their mean; here are the sums, of samples or of their logarithms, which solvers divide and raise.
+their mean. This module returns sums of samples or of their logarithms; solvers do the rest.
 All else makes this fast, to 0.01 px: `slabs` fits the projection of some planes by polynomials,
 `rectification` warps each image once so that a plane is a constant shift, and `cpu_kernels` add or
 multiply shifted rows. On a GPU each sample is a gather by Dr.Jit, from the same slabs and rectified

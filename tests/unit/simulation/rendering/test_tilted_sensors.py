@@ -48,7 +48,7 @@ def light_on_sensor(camera: Camera, leaving: F64, aperture: F64) -> F64:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("wall", [False, True])
-@pytest.mark.parametrize("tilt", [(0.0, 0.0), (8.0, -11.0)])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (8.0, -11.0), (0.0, 25.0)])
 def test_the_blur_is_that_of_thin_lens_rays(tilt: tuple[float, float], wall: bool) -> None:
     scene, camera = tilted_rig(tilt, wall)
     points = np.array([[1.5, -1.0, 27.0], [-2.0, 1.2, 33.0], [0.5, 0.5, 30.0], [-2.5, -1.0, 29.0]])
