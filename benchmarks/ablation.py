@@ -314,8 +314,8 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
                 ]
                 if todo:
                     rows += run_variant(room, rule, variant, todo, seed)
-            name = f"{rule.key} {variant}" if rule else room
-            print(f"{name}: {_short(table, rule, variant)}", flush=True)
+            if rule:
+                print(f"{rule.key} {variant}: {_moved(table, rule.key, variant)}", flush=True)
             with lock:
                 options.record.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n")
             if rule and verdict(table, rule.key) not in ("go", "no case"):
@@ -376,12 +376,10 @@ def worth(table: dict[str, Any], key: str, variant: str) -> dict[str, Worth]:
     }
 
 
-def _short(table: dict[str, Any], rule: Rule | None, variant: str) -> str:
-    if rule is None:
-        return ""
+def _moved(table: dict[str, Any], key: str, variant: str) -> str:
     told = [
         f"{case} {-one.lost:+.3f}, rms x {one.rms:.2f}"
-        for case, one in worth(table, rule.key, variant).items()
+        for case, one in worth(table, key, variant).items()
         if one.worse or one.better
     ]
     return "; ".join(told) or "nothing"
@@ -398,15 +396,23 @@ def verdict(table: dict[str, Any], key: str) -> str:
     return ("weigh" if gained else "keep") if lost else "turn" if gained else "go"
 
 
-def print_table(record: dict[str, Any], room: str) -> None:
-    """Print a Markdown table of a room's rules."""
-    print(f"| rule of {room} | variant | F1, and RMS, where they change | verdict |")
-    print("|---|---|---|---|")
+def table_of(record: dict[str, Any], room: str) -> str:
+    """Write a Markdown table of the rules of a room that were measured, worth last."""
+    lines = ["| rule | as it is | changed | what it moves | verdict |", "|---|---|---|---|---|"]
     table = record[room]["rules"]
-    for rule in rules_of(room):
-        for variant in table.get(rule.key, {}).get("variants", {}):
-            told = _short(table, rule, variant)
-            print(f"| `{rule.key}` | {variant} | {told} | {verdict(table, rule.key)} |")
+    for key in sorted(
+        table, key=lambda key: (_ORDER.index(verdict(table, key)) if key else 9, key)
+    ):
+        for number, variant in enumerate(table[key]["variants"] if key else ()):
+            text = table[key]["text"].partition("=")[2].strip() or "a branch"
+            head = f"`{key.removeprefix(room.replace('/', '.') + '.')}` | `{text}`"
+            told = _moved(table, key, variant)
+            end = "" if number else verdict(table, key)
+            lines.append(f"| {' | ' if number else head} | {variant} | {told} | {end} |")
+    return "\n".join(lines)
+
+
+_ORDER = ("go", "turn", "weigh", "no case", "keep")
 
 
 def main() -> None:
@@ -431,9 +437,9 @@ def main() -> None:
     for room in options.rooms:
         cases = [c for c in CASES[room] if not options.cases or any(t in c for t in options.cases)]
         if options.table:
-            print_table(json.loads(options.record.read_text()), room)
+            print(table_of(json.loads(options.record.read_text()), room))
         else:
-            print_table(measure(options, room, cases), room)
+            print(table_of(measure(options, room, cases), room))
 
 
 if __name__ == "__main__":

@@ -25,10 +25,9 @@ STRUCTURE = {
 # a rule's value, or the body of a function, that switches it off
 OFF = {
     "algorithms.particles.bayesian_ipr._NARROWER": "0.0",
-    "algorithms.particles.bayesian_ipr._FEW_CAMERAS": "1000",
     "algorithms.particles.bayesian_ipr._DARKEST": "(0.45,)",
-    "algorithms.particles.bayesian_ipr._FEWER": "1.1",
     "algorithms.particles.bayesian_ipr._flatten": "pass",
+    "algorithms.particles.bayesian_ipr.split_and_find": "return 0",
     "algorithms.particles.particle_search._CROWDED": "1e9, 1e9, 0.0",
     "algorithms.particles.particle_search._FLOOR": "0.0, 0.0, 0.0",
     "algorithms.particles.particle_search._SETTLED": "0.0",
