@@ -37,7 +37,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
-from benchmarks.ablation_rules import OFF, STRUCTURE  # noqa: E402
+from benchmarks.ablation_rules import FOLDER, OFF, STRUCTURE  # noqa: E402
 from sabench.utils.kernel_folder import kernel_folder  # noqa: E402
 
 RECORD = Path(__file__).with_name("records") / "ablation.json"
@@ -312,8 +312,9 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
                     for case in cases
                     if (case, seed) not in known and (not rule or rule.users & entered[case])
                 ]
-                if todo:
-                    rows += run_variant(room, rule, variant, todo, seed)
+                for row in run_variant(room, rule, variant, todo, seed) if todo else ():
+                    entered[row["case"]].update(row.pop("entered", ()))
+                    rows.append(row)
             if rule:
                 print(f"{rule.key} {variant}: {_moved(table, rule.key, variant)}", flush=True)
             with lock:
@@ -321,10 +322,16 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
             if rule and verdict(table, rule.key) not in ("go", "no case"):
                 break
 
-    lock, entered = threading.Lock(), dict[str, set[str]]()
+    # functions that each case enters: too many for the record
+    names = FOLDER / f"entered-{code_of(room)}.json"
+    lock, entered = threading.Lock(), defaultdict[str, set[str]](set)
+    if names.exists():
+        for case, functions in json.loads(names.read_text()).items():
+            entered[case] = set(functions)
+    else:
+        table.pop("", None)  # they are traced with the rules as they are
     work(None)
-    for row in table[""]["variants"]["as it is"]:
-        entered.setdefault(row["case"], set()).update(row["entered"])
+    names.write_text(json.dumps({case: sorted(each) for case, each in entered.items()}))
     with ThreadPoolExecutor(options.jobs) as pool:
         list(pool.map(work, chosen))
     return record

@@ -10,12 +10,12 @@ import time
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
+from benchmarks.ablation_rules import FOLDER
 from benchmarks.particle_scores import score_particles
 from sabench.api import Camera, ImageSequence
 from sabench.api.make import make_algorithm
@@ -24,7 +24,6 @@ from sabench.scenes import find, parse_scene
 from sabench.simulation.in_memory import Shot, simulate, simulate_sequence
 from sabench.utils.arrays import F64, U16
 
-FOLDER = Path(__file__).resolve().parents[1] / "work" / "ablation"
 _EQUAL = {"scattering": "isotropic", "pulse_energy_mj": 6.5}
 _ROW = [{"center_mm": [x, 0.0, -516.7]} for x in (-300.0, -90.0, 90.0, 300.0)]
 _DISC = [{"center_mm": [-72.5, -79.0, -400.0], "radius_mm": 6.0}]

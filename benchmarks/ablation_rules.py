@@ -1,4 +1,8 @@
-"""What the ablation must not scale, and what switches rules and branches off."""
+"""What the ablation must not scale, what switches rules off, and where it keeps what it makes."""
+
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parents[1] / "work" / "ablation"
 
 # numbers that are no rules: indices, sizes of arrays, units, series and formats
 STRUCTURE = {
