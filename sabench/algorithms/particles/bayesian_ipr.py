@@ -29,10 +29,12 @@ _BETWEEN = 0.1  # scatter between cameras meanwhile
 # where images overlap, they are narrower than measured by this share, until widths are learned:
 # wider ones take the light of neighbours that are not found yet
 _NARROWER = 0.05
+_FEW_CAMERAS = 4  # that need all of the widening
 _FIRST_FLOOR = 0.35  # of the first candidates' mean light, over a typical particle's
 _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, over the median
 _REAL = 0.3  # of a typical particle's light: what counts for that median
 FLOORS = (0.2, 0.06)  # of the candidates of the first and the last later round
+_FEWER = 0.998  # of the candidates: more that are left share the light as before
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
@@ -50,7 +52,8 @@ class BayesianIprSettings:
     rounds : the most of search and removal, after the first.
     splits : the most rounds of splits, search and removal after those.
     fits : largest number of fits of all particles at each step; fewer once they converge.
-    widening : of the particles' images while candidates share the light, over their width.
+    widening : of the particles' images while candidates share the light, over their width, with
+        four cameras; less with more.
     budget_s : seconds after which a frame's search ends with the particles so far; None is no end.
     """
 
@@ -226,20 +229,25 @@ def _share_the_light(base: ParticleSearch, settings: BayesianIprSettings) -> Par
     """Fit the first candidates jointly, and drop the darkest, slowly.
 
     Known particles keep their light. The modelled images are wider than the real ones, which
-    keeps chance candidates together.
+    keeps chance candidates together. In many cameras these are few, but then two particles with
+    wide images become one.
     """
     search = base.rest(np.arange(len(base.typical)))
     # saturated pixels have no more light than they show, or candidates would not share it
     search.saturated = np.zeros_like(base.saturated)
-    search.set_width(settings.widening * base.sigma)
+    few = min(_FEW_CAMERAS / len(search.typical), 1.0) ** 2
+    search.set_width((1.0 + few * (settings.widening - 1.0)) * base.sigma)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
     learned_model.weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
+    search.refine(settings.fits)
+    before = np.inf  # the first time
     for level in _DARKEST:
-        search.refine(settings.fits)
-        learned_model.weigh_pixels(search, CAPS[0])
+        if len(search.position) < before:
+            learned_model.weigh_pixels(search, CAPS[0])
+            search.refine(settings.fits)
         common = search.common_light()
-        real = common[common > _REAL]
+        real, before = common[common > _REAL], _FEWER * len(common)
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))
     search.saturated = base.saturated
     search.reset_covariance()
