@@ -10,15 +10,14 @@ lists. Each variant runs in a new Python, whose importer changes that statement 
 it, on the cases that enter a function which uses the rule; where a kernel does, that and its
 callers are compiled anew. Variants run in turn until one matters.
 
-A record holds, of each rule, variant, case and seed, the figures of the case: what is there is not
-run again, as long as the rule's line, and the code of the room, are the same. The last column of
+A record holds, of each rule, variant, case and seed, the figures of the case. They are not measured
+again while the code of the room is the same. The last column of
 the table is the verdict: *keep* where a variant makes some case worse by more than `LOSS` of F1 and
 a particle and a half, or by `WORSE_RMS`; *weigh* where another case gets better by as much; *turn*
 where cases only get better; *go* where nothing matters, and *no case* where none uses the rule.
 """
 
 import argparse
-import ast
 import hashlib
 import json
 import os
@@ -30,183 +29,17 @@ import threading
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType, FrameType
+from types import FrameType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
-from benchmarks.ablation_rules import FOLDER, OFF, STRUCTURE  # noqa: E402
+from benchmarks.ablation_rules import Rule, change, rules_of  # noqa: E402
 from sabench.utils.kernel_folder import kernel_folder  # noqa: E402
 
 RECORD = Path(__file__).with_name("records") / "ablation.json"
 LOSS, WORSE_RMS = 0.003, 1.1  # of F1, and of the RMS distance: what a rule must be worth
-
-
-@dataclass(frozen=True)
-class Rule:
-    """A statement of numbers, or a function, at the top of a module.
-
-    Attributes
-    ----------
-    module : name, without the package's.
-    name : of the first constant, or of the function.
-    line, text : where it stands, and its code.
-    variants : what takes the place of its value, or of its body, by name.
-    kernels : names of the kernels that hold it.
-    users : functions, as `module.name`, that the rule changes.
-    """
-
-    module: str
-    name: str
-    line: int
-    text: str
-    variants: dict[str, str]
-    kernels: set[str]
-    users: set[str]
-
-    @property
-    def key(self) -> str:
-        """Name the rule as the record does."""
-        return f"{self.module}.{self.name}"
-
-
-class Package:
-    """Which functions of the package use which names."""
-
-    def __init__(self) -> None:
-        self.trees = {}
-        for path in sorted((ROOT / "sabench").rglob("*.py")):
-            module = ".".join(path.relative_to(ROOT / "sabench").with_suffix("").parts)
-            self.trees[module] = ast.parse(path.read_text(encoding="utf-8"))
-        self.uses: dict[str, dict[str, set[str]]] = {}  # of a name: functions by module
-        self.kernels: set[str] = set()  # module.name
-        for module, tree in self.trees.items():
-            for node in ast.walk(tree):
-                if isinstance(node, ast.FunctionDef):
-                    if any("jit" in ast.unparse(one) for one in node.decorator_list):
-                        self.kernels.add(f"{module}.{node.name}")
-                    for one in ast.walk(node):
-                        name = getattr(one, "id", None) or getattr(one, "attr", None)
-                        if name and name != node.name:
-                            users = self.uses.setdefault(name, {}).setdefault(module, set())
-                            users.add(node.name)
-
-    def users(self, module: str, names: list[str]) -> set[str]:
-        """Find functions that use names of a module, and of kernels, what calls them."""
-        found, todo = set(), [(module, name) for name in names]
-        while todo:
-            home, name = todo.pop()
-            for where, functions in self.uses.get(name, {}).items():
-                if name.startswith("_") and where != home:
-                    continue
-                for function in functions:
-                    key = f"{where}.{function}"
-                    if key not in found:
-                        found.add(key)
-                        if key in self.kernels:
-                            todo.append((where, function))
-        # constants that are made of these
-        for node in self.trees[module].body:
-            if isinstance(node, ast.Assign) and _names(node) != names:
-                used = {getattr(one, "id", "") for one in ast.walk(node.value)}
-                found |= self.users(module, _names(node)) if used & set(names) else set()
-        return found
-
-
-def rules_of(room: str) -> list[Rule]:
-    """List the rules of a room, module by module."""
-    found, package = [], Package()
-    for path in sorted((ROOT / "sabench" / room).rglob("*.py")):
-        module = ".".join(path.relative_to(ROOT / "sabench").with_suffix("").parts)
-        source = path.read_text(encoding="utf-8")
-        for node in package.trees[module].body:
-            for name in _names(node)[:1]:
-                key, variants = f"{module}.{name}", {}
-                if key in OFF:
-                    variants["off"] = OFF[key]
-                if isinstance(node, ast.Assign) and key not in STRUCTURE and _numbers(node.value):
-                    for variant, by in (("doubled", 2.0), ("halved", 0.5)):
-                        value = ast.unparse(_Scaled(by).visit(_copy(node.value)))
-                        if value != ast.unparse(node.value):
-                            variants[variant] = value
-                if variants:
-                    text = ast.get_source_segment(source, node) or ""
-                    text = text if isinstance(node, ast.Assign) else text.partition("\n")[0]
-                    if isinstance(node, ast.FunctionDef):
-                        users = {key}
-                    else:
-                        users = package.users(module, _names(node))
-                    kernels = {each.rpartition(".")[2] for each in users & package.kernels}
-                    each = module, name, node.lineno, text, variants, kernels, users
-                    found.append(Rule(*each))
-    return found
-
-
-def _names(node: ast.stmt) -> list[str]:
-    if isinstance(node, ast.FunctionDef):
-        return [node.name]
-    if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name | ast.Tuple):
-        return [each.id for each in ast.walk(node.targets[0]) if isinstance(each, ast.Name)]
-    return []
-
-
-def _copy(node: ast.expr) -> ast.expr:
-    return ast.parse(ast.unparse(node), mode="eval").body
-
-
-def _numbers(node: ast.expr) -> bool:
-    return any(isinstance(each, ast.Constant) and _is_number(each.value) for each in ast.walk(node))
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-class _Scaled(ast.NodeTransformer):
-    """Multiply all numbers of an expression; of shares above one half, what is missing to one."""
-
-    def __init__(self, by: float) -> None:
-        self.by = by
-
-    def visit_Call(self, node: ast.Call) -> ast.AST:
-        """Scale a range, or an array, by its numbers; not the type of an array."""
-        node.args = [self.visit(arg) for arg in node.args]
-        return node
-
-    def visit_Constant(self, node: ast.Constant) -> ast.AST:
-        """Scale one number: whole ones stay whole, and 1 or more."""
-        value: Any = node.value
-        if not _is_number(value):
-            return node
-        if isinstance(value, int):
-            scaled: Any = max(int(value * self.by), min(value, 1))
-        elif 0.5 < value < 1.0:
-            scaled = 1.0 - (1.0 - value) * self.by
-        else:
-            scaled = value * self.by
-        return ast.Constant(scaled)
-
-
-def change(rule_module: str, name: str, text: str) -> None:
-    """Make this Python import a module with another value of a constant, or body of a function."""
-    plain = SourceFileLoader.get_code
-
-    def get_code(loader: SourceFileLoader, module: str) -> CodeType | None:
-        if module != f"sabench.{rule_module}":
-            return plain(loader, module)
-        path = loader.get_filename(module)
-        tree = ast.parse(Path(path).read_text(encoding="utf-8"))
-        for node in tree.body:
-            if name in _names(node)[:1]:
-                if isinstance(node, ast.FunctionDef):
-                    node.body, node.decorator_list = ast.parse(text).body, []
-                elif isinstance(node, ast.Assign):
-                    node.value = ast.parse(text, mode="eval").body
-        return compile(ast.fix_missing_locations(tree), path, "exec")
-
-    SourceFileLoader.get_code = get_code  # type: ignore[method-assign, assignment]
 
 
 def run_here(room: str, cases: list[str], seeds: list[int], traced: bool) -> None:
@@ -246,13 +79,13 @@ def run_variant(
     """Score cases in a new Python, with a rule changed."""
     words = [sys.executable, str(Path(__file__)), room, "--cases", *cases, "--seeds", str(seed)]
     environment = os.environ | {"PYTHONWARNINGS": "ignore"}
-    change = [rule.module, rule.name, rule.variants[variant]] if rule else ["", "", ""]
+    changed = [rule.module, rule.name, rule.variants[variant]] if rule else ["", "", ""]
     with tempfile.TemporaryDirectory() as folder:
         if rule is not None and rule.kernels:
             environment["NUMBA_CACHE_DIR"] = folder
             _copy_kernels(Path(folder), rule.kernels)
         done = subprocess.run(
-            [*words, "--change", *change],
+            [*words, "--change", *changed],
             env=environment,
             text=True,
             capture_output=True,
@@ -302,7 +135,7 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
         """Run variants, until one matters."""
         entry = table.setdefault(rule.key if rule else "", {"variants": {}})
         if rule:
-            entry |= {"text": rule.text, "line": rule.line}
+            entry["text"] = rule.text
         for variant in rule.variants if rule else ["as it is"]:
             rows = entry["variants"].setdefault(variant, [])
             known = {(row["case"], row["seed"]) for row in rows}
@@ -322,6 +155,8 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
             if rule and verdict(table, rule.key) not in ("go", "no case"):
                 break
 
+    from benchmarks.ablation_cases import FOLDER
+
     # functions that each case enters: too many for the record
     names = FOLDER / f"entered-{code_of(room)}.json"
     lock, entered = threading.Lock(), defaultdict[str, set[str]](set)
@@ -339,18 +174,17 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
 
 @dataclass(frozen=True)
 class Worth:
-    """What a case loses by a variant, as means over the seeds.
+    """Loss of a case by a variant, as means over the seeds.
 
     Attributes
     ----------
     lost : F1.
-    rms, seconds : ratios of the RMS distance and of the CPU seconds.
+    rms : ratio of the RMS distances.
     least : F1 that counts: `LOSS`, or a particle and a half.
     """
 
     lost: float
     rms: float
-    seconds: float
     least: float
 
     @property
@@ -371,12 +205,10 @@ def worth(table: dict[str, Any], key: str, variant: str) -> dict[str, Worth]:
     for row in table[key]["variants"].get(variant, []):
         base = plain.get((row["case"], row["seed"]))
         if base:
-            ratios = [
-                row[name] / max(base[name], 1e-9) if name in row and name in base else 1.0
-                for name in ("rms_px", "cpu_s")
-            ]
+            shown = "rms_px" in row and "rms_px" in base
+            rms = row["rms_px"] / max(base["rms_px"], 1e-9) if shown else 1.0
             least = max(LOSS, 1.5 / base.get("true", 1e9))
-            losses[row["case"]].append((base["f1"] - row["f1"], *ratios, least))
+            losses[row["case"]].append((base["f1"] - row["f1"], rms, least))
     return {
         case: Worth(*(sum(column) / len(column) for column in zip(*rows, strict=True)))
         for case, rows in losses.items()

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
-from benchmarks.ablation_rules import FOLDER
+from benchmarks.ablation_rules import ROOT
 from benchmarks.particle_scores import score_particles
 from sabench.api import Camera, ImageSequence
 from sabench.api.make import make_algorithm
@@ -24,8 +24,8 @@ from sabench.scenes import find, parse_scene
 from sabench.simulation.in_memory import Shot, simulate, simulate_sequence
 from sabench.utils.arrays import F64, U16
 
+FOLDER = ROOT / "work" / "ablation"
 _EQUAL = {"scattering": "isotropic", "pulse_energy_mj": 6.5}
-_ROW = [{"center_mm": [x, 0.0, -516.7]} for x in (-300.0, -90.0, 90.0, 300.0)]
 _DISC = [{"center_mm": [-72.5, -79.0, -400.0], "radius_mm": 6.0}]
 _POST = {"generator": "cylinder", "radius_mm": 0.8, "length_mm": 3.0, "place_mm": [0.0] * 3}
 _LAMPS = {"lamps": [{"center_mm": [0.0, -300.0, -600.0]}], "exposure": 0.005}
@@ -38,7 +38,7 @@ Truth = list[Shot] | U16
 
 @dataclass(frozen=True)
 class Case:
-    """What is made for a seed, and how a solver's result on it is scored."""
+    """Images and truth of a seed, and the score of a solver on them."""
 
     make: Callable[[int], Truth]
     score: Callable[[Truth], dict[str, float]]

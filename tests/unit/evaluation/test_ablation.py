@@ -1,0 +1,68 @@
+"""Rules of the ablation, and how they are changed."""
+
+import subprocess
+import sys
+
+import pytest
+
+from benchmarks.ablation import verdict, worth
+from benchmarks.ablation_rules import OFF, ROOT, STRUCTURE, rules_of
+from sabench.images import widths
+
+ROOMS = ("images", "algorithms/particles")
+
+
+@pytest.mark.slow
+def test_what_is_switched_off_or_left_alone_exists() -> None:
+    """A constant or a branch that is gone leaves both lists."""
+    rules = {rule.key: rule for room in ROOMS for rule in rules_of(room)}
+    assert OFF.keys() <= rules.keys()
+    assert all("off" in rules[key].variants for key in OFF)
+    for key in STRUCTURE:
+        module, _, name = key.rpartition(".")
+        assert name in (ROOT / "sabench" / f"{module.replace('.', '/')}.py").read_text()
+        assert key not in rules
+
+
+@pytest.mark.slow
+def test_numbers_are_doubled_and_halved_and_shares_as_what_they_miss() -> None:
+    rules = {rule.key: rule.variants for rule in rules_of("images")}
+    assert rules["images.widths._LEAST_SIGMA"] == {
+        "doubled": "(0.6, 5.0)",
+        "halved": "(0.15, 1.25)",
+    }
+    assert float(rules["images.widths._MOST_TILT"]["doubled"]) == pytest.approx(0.9)
+
+
+@pytest.mark.slow
+def test_a_kernel_and_its_callers_hold_a_constant() -> None:
+    rules = {rule.key: rule for rule in rules_of("algorithms/particles")}
+    still = rules["algorithms.particles.joint_fit._STILL"]
+    assert {"_fits_already", "fit_particle", "remove_ghosts", "split_pairs"} <= still.kernels
+    assert "algorithms.particles.particle_search.refine" in still.users
+    assert not rules["algorithms.particles.bayesian_ipr._GROWTH"].kernels
+
+
+def test_a_module_is_imported_with_the_other_value() -> None:
+    code = (
+        "from benchmarks.ablation_rules import change\n"
+        "change('images.widths', '_MOST_TILT', '0.5')\n"
+        "from sabench.images import widths; print(widths._MOST_TILT)"
+    )
+    told = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=True)
+    assert float(told.stdout) == 0.5 != widths._MOST_TILT
+
+
+def test_a_case_that_is_worse_keeps_a_rule_and_a_particle_more_or_less_does_not() -> None:
+    def table(f1: float, rms_px: float) -> dict[str, object]:
+        base = {"case": "a", "seed": 1, "f1": 0.99, "rms_px": 0.1, "true": 200.0}
+        changed = base | {"f1": f1, "rms_px": rms_px}
+        return {
+            "": {"variants": {"as it is": [base]}},
+            "rule": {"variants": {"off": [changed]}},
+        }
+
+    judged = {(0.98, 0.1): "keep", (1.0, 0.1): "turn", (0.985, 0.1): "go", (0.99, 0.12): "keep"}
+    for figures, expected in judged.items():
+        assert verdict(table(*figures), "rule") == expected
+    assert worth(table(0.98, 0.2), "rule", "off")["a"].rms == pytest.approx(2.0)
