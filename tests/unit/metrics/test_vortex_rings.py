@@ -67,7 +67,7 @@ def test_a_ring_is_found_at_every_angle(degrees: float, axis: tuple[float, float
     """A square's circulation lies between those of its inner and outer circles (equation 2.14)."""
     sizes = {"diameter_mm": 20.0, "core_mm": 4.0, "peak_mm_s": 50.0}
     ring = generator_of({"generator": "vortex_ring", "axis": axis, **sizes})
-    half = half_plane((0.0, 0.0, 0.0), axis, (1.0, 0.0, 0.0), degrees)
+    half = half_plane((0.0, 0.0, 0.0), axis, (1.0, 0.3, 0.1), degrees)
     found = circulation(lambda points: ring.velocity(points, 0.0), half, 10.0, 0.0, 12.0, 12.0)
     inner, outer = (
         2.0 * np.pi * np.e * 50.0 * radius**2 * np.exp(-radius / 4.0) / 4.0

@@ -125,6 +125,11 @@ def test_small_shifts_are_found_to_parts_of_a_voxel() -> None:
     faint = by_shifts(dim * volume(start), dim * moved, windows, (1, 1, 1))
     assert_allclose(faint.shift, peaks.shift, atol=1e-6)
     assert_allclose(faint.height, peaks.height, atol=1e-6)
+    half = np.where(
+        np.arange(GRID.shape[2]) < GRID.shape[2] // 2, np.float32(2.0**-7), np.float32(1.0)
+    )
+    dark = by_shifts(half * volume(start), half * moved, windows, (1, 1, 1))
+    assert not dark.height[..., 0].any()
 
 
 def test_large_shifts_are_found_by_spectra() -> None:
