@@ -55,12 +55,12 @@ def small_scene(per_pixel: float, **changes: Any) -> Any:
     return parse_scene(_changed(values, changes), "small")
 
 
-def realistic_scene(per_pixel: float) -> Any:
-    """Change the realistic scene to 120 x 160 pixels of four cameras."""
+def realistic_scene(per_pixel: float, across: int = 2) -> Any:
+    """Change the realistic scene to 120 x 160 pixels of so many cameras across and down."""
     values = tomllib.loads(find("realistic-particles", "scenes").read_text(encoding="utf-8"))
     values["volume"]["size_mm"], values["grid"]["crop_mm"] = [8.0, 6.0, 5.0], [0.8, 0.8, 0.3]
     values["cameras"] |= {"rows": 120, "columns": 160}
-    values["cameras"]["layout"] |= {"columns": 2, "rows": 2}
+    values["cameras"]["layout"] |= {"columns": across, "rows": across}
     values["particles"]["per_pixel"] = per_pixel
     return parse_scene(values, "realistic")
 
@@ -213,6 +213,9 @@ PARTICLES = {
     "thin": Case(plain(0.004), _BAYES),
     "realistic": Case(one(lambda: realistic_scene(0.03)), _BAYES),
     "realistic, thin": Case(one(lambda: realistic_scene(0.003)), _BAYES),
+    "realistic, hardly any": Case(one(lambda: realistic_scene(0.001, across=3)), _BAYES),
+    "crowded": Case(plain(0.15), _BAYES),
+    "crowded, light differs": Case(plain(0.1, particles={"diameter_spread": 0.3}), _BAYES),
     "faint": Case(
         plain(
             0.02,

@@ -25,8 +25,7 @@ class BayesianIprParameters(Parameters):
         1.3,
         ge=1.0,
         le=2.0,
-        description="of the particles' images while the first candidates share the light, with "
-        "four cameras; less with more",
+        description="of the particles' images while the first candidates share the light",
     )
     budget_s: float | None = Field(
         None,

@@ -1,45 +1,40 @@
 """Background of images, and bright things that are no particles.
 
-Images may be brighter than black between particles, differently from place to place: scattered
-light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by
-clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 393, 1996). Patches
-with sharp edges and hardly any dark pixel are brighter on top of it: a sliding minimum
-leaves them around dead pixels, and bodies are lit.
+What is wider than a particle's image is no particle: scattered light, lit bodies, reflections, what
+a sliding minimum leaves of noise or around dead pixels. An opening (J. Serra, Image Analysis and
+Mathematical Morphology, 1982) by an octagon wider than particles' images shows it, with its edges.
+Between dense particles few pixels are dark, so the octagon is the wider, the fewer they are.
+
+Glints no wider than particles, and the edges of others, are many times as bright as a particle.
 """
 
-from typing import Any, NamedTuple
+import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from sabench.images.flaws import Flaws
-from sabench.images.widths import measure_images, noise_below_black
-from sabench.utils.arrays import F32, I64, Bool
-from sabench.utils.compiled import numba
-from sabench.utils.threads import on_cores
+from sabench.images.widths import measure_images
+from sabench.utils.arrays import F32, Bool
 
-_TILE = 24  # px: many particles' spacings, and few of them in the background's changes
-_BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles
-_CLIP, _CLIPS = 3.0, 12  # standard deviations, and the most rounds
-_FEW = 20  # too few values
-_DENSE = 0.04  # scatter of the background over the image's bright pixels: above, it is particles
-_EVEN = 0.08  # mean less median over the scatter, after clipping: below, it is all background
-_BRIGHT = 99.0  # percentile that stands for bright particles' pixels
-_SPOT = 7  # px: a particle's image is narrower
-_SPOT_LIGHT = 0.5  # of bright pixels, in all of a square: no particle
+_SMOOTH = 1.0  # px: of noise, before the opening
+# px: width of the octagon if all pixels were dark: wider than particles' images, and narrow enough
+# for shadows and bars; widths that are tried
+_WIDTH, _WIDTHS = 7.0, (11, 15, 21, 31, 43, 61, 87, 123, 175, 247)
+_BELOW, _SLOPE = 0.32, 0.29  # noise of 1 above its opening of 9 px, and more by the width's log
+_DARK = 1.5  # standard deviations above the background: dark pixels
+_AROUND = 61, 61  # px: square in which dark pixels are counted
+# standard deviations: less background is noise, or, where no pixel is dark, particles' tails
+_SHOWN, _TAILS = 1.0, 3.0
+_BRIGHT = 10.0  # standard deviations
+_DARKEST = 0.05  # of the pixels: they show noise even between dense particles
+_STEEP = 6.0  # standard deviations within 3 x 3 pixels
+_LEAST_NOISE = 0.3  # grey values: of rounding
+_SPOT = 7  # px: square around a glint
 _MANY, _CHANCE = 8.0, 6.0  # typical particles, and standard deviations of overlapping ones
 _LIT = 0.5  # typical particles in a square: less is noise
-_SEARCHES = 4  # for bright spots, as each makes typical light a little too large
-_HALO = 6  # px around bright spots
-_PATCH = 12  # px: edge of a square that detects a patch
-_DIMMEST, _BELOW = 0.1, 1.2816  # share of its pixels, and how far dark noise has them below zero
-_RAISED = 4.0  # standard deviations: a patch is that much brighter than the background
-_UNUSUAL = 6.0  # standard deviations below the middle level: a patch is that far above it
-_ONE_SIGMA = 15.9  # percentile, one standard deviation below the mean of normal values
-_BORDER, _WIDE = 2, 11  # px: around patches, and the diameter of a disc wider than particles
-_LOW = 0.5  # standard deviations: how far an opening of the smoothed noise is below its mean
-_UNEVEN = 2.0  # standard deviations: what is that much above a patch's level is its own shading
-_ROUGH = 0.6  # of a patch's level: how far its median may be above the level; particles vary more
+_HALO = 6  # px around glints
 
 
 class ClearImages(NamedTuple):
@@ -58,233 +53,96 @@ class ClearImages(NamedTuple):
 
 
 def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
-    """Subtract the background of images (camera, row, column); cover bright spots."""
+    """Subtract the background of images (camera, row, column); cover glints."""
     cleared, covered = images.copy(), flaws.covered.copy()
     for camera, image in enumerate(cleared):
         valid = ~flaws.unknown[camera]
-        spots = find_bright_spots(image, valid)
-        background = estimate_background(image, valid & ~spots)
-        if background is not None:
-            image -= background
-        image -= find_patches(image, valid & ~spots)
-        for _ in range(_SEARCHES):
-            light = float(measure_images(image[None], (valid & ~spots)[None]).light[0])
-            more = find_bright_spots(image, valid & ~spots, light) & ~spots
-            if not more.any():
+        background, noise = estimate_background(image, valid)
+        image -= background
+        edges = mark_edges(background, noise)
+        covered[camera] |= edges
+        valid &= ~edges
+        while valid.any():  # glints make typical light too large: fainter ones are found later
+            light = float(measure_images(image[None], valid[None]).light[0])
+            more = find_glints(image, valid, light)
+            if not (more & valid).any():
                 break
-            spots |= more
-        covered[camera] |= spots
+            covered[camera] |= more
+            valid &= ~more
     return cleared, Flaws(flaws.points, covered)
 
 
-def estimate_background(image: F32, valid: Bool) -> F32 | None:
-    """Estimate the background (row, column) of an image less black.
+def estimate_background(image: F32, valid: Bool) -> tuple[F32, float]:
+    """Estimate the background (row, column) of an image less black, and the noise.
 
-    It is None if none shows.
+    The background is 0 where none shows.
     """
-    rows, columns = (max(size // _TILE, 1) for size in image.shape)
-    tiles = _ends(image.shape[0], rows), _ends(image.shape[1], columns)
-    modes = np.full((rows * columns, 4), np.nan)
-    on_cores(_measure_modes, len(modes), image, valid, *tiles, modes)
-    levels, scatter, skew, black = modes.T
-    bright = float(np.percentile(image[valid], _BRIGHT)) if valid.any() else 0.0
-    clear = scatter < _DENSE * bright
-    told = np.isfinite(skew)
-    if told.any() and np.median(skew[told]) < _EVEN:  # few particles: bright pixels may be noise
-        clear = told
-    if not clear.any() or np.nanmedian(black) > _BLACK:
-        return None
-    level = np.where(clear, levels, np.median(levels[clear])).reshape(rows, columns)
-    grid = cv2.medianBlur(level.astype(np.float32), 3) if min(level.shape) > 2 else level
-    size = image.shape[::-1]
-    smooth = cv2.resize(np.float32(grid), size, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(np.maximum(smooth, np.float32(0.0)))
+    if not valid.any():
+        return np.zeros_like(image), 0.0
+    known = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _SMOOTH)
+    smooth = cv2.GaussianBlur(np.where(valid, image, np.float32(0.0)), (0, 0), _SMOOTH)
+    smooth = np.where(known > 0.1, smooth / np.maximum(known, 0.1), np.float32(np.inf))
+    noise, out, sparse = _dark_noise(image, valid, smooth), np.zeros_like(image), known.copy()
+    known, todo = valid.astype(np.float32), valid.copy()
+    for width in _WIDTHS:
+        if width > min(image.shape) or not todo.any():
+            break  # so few pixels are dark that no background shows there
+        background = _open(smooth, width) + np.float32(noise * lift(width))
+        dark = valid & (smooth < background + _DARK * noise)
+        number, of = (cv2.boxFilter(np.float32(each), -1, _AROUND) for each in (dark, known))
+        share = cv2.erode(number / np.maximum(of, 1e-6), np.ones(_AROUND, np.uint8))
+        now = todo & (width * share >= _WIDTH)
+        out[now], sparse[now] = background[now], share[now]
+        todo &= ~now
+    # a bright one has shades of its own, which hardly any particles fill
+    details = _open(smooth, _WIDTHS[0]) + np.float32(noise * lift(_WIDTHS[0]))
+    out = np.where(out > _BRIGHT * noise, np.maximum(out, details), out)
+    limit = np.float32(noise) * (_TAILS + (_SHOWN - _TAILS) * sparse**2)
+    return np.where(out > limit, out, np.float32(0.0)), noise
 
 
-def find_patches(image: F32, valid: Bool) -> F32:
-    """Measure patches that are brighter than the background around them.
+def mark_edges(background: F32, noise: float) -> Bool:
+    """Mark where a background changes too fast to be known to the noise."""
+    square = np.ones((3, 3), np.uint8)
+    change = cv2.dilate(background, square) - cv2.erode(background, square)
+    return np.asarray(change > _STEEP * noise)
 
-    The result (row, column) is by how much, and 0 elsewhere. Particles that leave few pixels dark
-    are less even than a patch, and where they leave none, no dimmer elsewhere.
+
+def lift(width: int) -> float:
+    """Return how far smoothed noise of 1 lies above its opening by a width, px."""
+    return _BELOW + _SLOPE * math.log(width / 9.0)
+
+
+def _dark_noise(image: F32, valid: Bool, smooth: F32) -> float:
+    """Measure the noise of the darkest pixels by medians of 3 x 3."""
+    away = np.abs(image - cv2.medianBlur(image, 3))
+    darker = valid & (smooth <= np.quantile(smooth[valid], _DARKEST))
+    return max(1.4826 * float(np.median(away[darker])), _LEAST_NOISE)
+
+
+def _open(image: F32, width: int) -> F32:
+    """Open an image by a regular octagon: a square, and rounds of a cross."""
+    rounds = round(0.29 * width)
+    edge = max(width - 2 * rounds, 1)
+    square = np.ones((edge, edge), np.uint8)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    lowest = cv2.erode(cv2.erode(image, square), cross, iterations=rounds)
+    return np.asarray(cv2.dilate(cv2.dilate(lowest, cross, iterations=rounds), square))
+
+
+def find_glints(image: F32, valid: Bool, light: float) -> Bool:
+    """Mark what is many times as bright as a particle of some light, with a halo.
+
+    Nothing is marked where the light is 0: no particle shows.
     """
-    noise = noise_below_black(image[valid])
-    dark = valid & (image <= (_RAISED - _BELOW) * noise)
-    if min(image.shape) < _PATCH:
-        return np.zeros_like(image)
-    size = (_PATCH, _PATCH)
-    sums = (
-        cv2.boxFilter(mask.astype(np.float32), -1, size, anchor=(0, 0), normalize=False)
-        for mask in (dark, valid)
-    )
-    few, all_valid = (counts[: 1 - _PATCH, : 1 - _PATCH] for counts in sums)
-    lit = (few < _DIMMEST * all_valid) & (all_valid > 0.5 * _PATCH**2)
-    total, count = np.zeros_like(image), np.zeros_like(image)
-    _add_patches(image, valid, lit, _BELOW * noise, total, count)
-    raised = total / np.maximum(count, np.float32(1.0)) + np.float32(_BELOW * noise)
-    levels = _levels(image, valid)
-    levels, usual = levels[np.isfinite(levels)], 0.0
-    if len(levels):  # the highest level by chance, some standard deviations above the middle one
-        low, middle = np.percentile(levels, [_ONE_SIGMA, 50.0])
-        usual = float(middle + _UNUSUAL * (middle - low))
-    least = max(_RAISED * noise, usual + _BELOW * noise)
-    patches = (count > 0) & (raised > least)
-    if not patches.any():
-        return np.zeros_like(image)
-    square = np.ones((2 * _BORDER + 1, 2 * _BORDER + 1), np.uint8)
-    around = cv2.dilate(patches.astype(np.uint8), square) > 0
-    even = np.where(patches, raised, np.float32(0.0))
-    # light that is wider than particles' images, as of lit bodies
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_WIDE, _WIDE))
-    opened = cv2.morphologyEx(cv2.GaussianBlur(image, (0, 0), 1.0), cv2.MORPH_OPEN, disc)
-    wide = np.asarray(opened + np.float32(_LOW * noise))
-    uneven = around & (wide > even + np.float32(_UNEVEN * noise))
-    return np.where(uneven, wide, even)
-
-
-@numba.njit(cache=True)
-def _levels(image: Any, valid: Any) -> Any:
-    """Return low percentiles of squares side by side, NaN if few pixels are known."""
-    rows, columns = image.shape[0] // _PATCH, image.shape[1] // _PATCH
-    levels, values = np.full(rows * columns, np.nan), np.zeros(_PATCH * _PATCH)
-    for square in range(rows * columns):
-        top, left = square // columns * _PATCH, square % columns * _PATCH
-        level, _ = _percentiles(image, valid, top, left, values)
-        levels[square] = level
-    return levels
-
-
-@numba.njit(cache=True)
-def _add_patches(image: Any, valid: Any, lit: Any, below: float, total: Any, count: Any) -> None:
-    """Add up, and count, the dimmest values of even squares.
-
-    Squares of every second row and column are tried first, then all near the even ones of these.
-    """
-    near = np.zeros(lit.shape, dtype=np.bool_)
-    values = np.zeros(_PATCH * _PATCH)
-    for i in range(0, lit.shape[0], 2):
-        for j in range(0, lit.shape[1], 2):
-            if lit[i, j] and _level(image, valid, i, j, below, values) > -np.inf:
-                for row in range(max(i - 1, 0), min(i + 2, lit.shape[0])):
-                    for column in range(max(j - 1, 0), min(j + 2, lit.shape[1])):
-                        near[row, column] = True
-    for i in range(lit.shape[0]):
-        for j in range(lit.shape[1]):
-            if lit[i, j] and near[i, j]:
-                level = _level(image, valid, i, j, below, values)
-                if level > -np.inf:
-                    for row in range(i, i + _PATCH):
-                        for column in range(j, j + _PATCH):
-                            total[row, column] += level
-                            count[row, column] += 1.0
-
-
-@numba.njit(cache=True)
-def _level(image: Any, valid: Any, i: int, j: int, below: float, values: Any) -> float:
-    """Return a low percentile of a square; minus infinity if it is not even."""
-    level, middle = _percentiles(image, valid, i, j, values)
-    return level if middle - level < _ROUGH * (level + below) else -np.inf
-
-
-@numba.njit(cache=True)
-def _percentiles(image: Any, valid: Any, i: int, j: int, values: Any) -> tuple[float, float]:
-    """Return a low percentile and the median of a square's known pixels; NaN if few."""
-    number = 0
-    for row in range(i, i + _PATCH):
-        for column in range(j, j + _PATCH):
-            if valid[row, column]:
-                values[number] = image[row, column]
-                number += 1
-    if number <= _PATCH**2 // 2:
-        return np.nan, np.nan
-    ranked = np.sort(values[:number])
-    return ranked[int(_DIMMEST * number)], ranked[number // 2]
-
-
-def _ends(size: int, tiles: int) -> I64:
-    """Return where tiles start along an axis, and its end (tiles + 1,)."""
-    return np.arange(tiles + 1) * size // tiles
-
-
-@numba.njit(cache=True, nogil=True)
-def _measure_modes(
-    jobs: slice, image: Any, valid: Any, downs: Any, acrosses: Any, modes: Any
-) -> None:
-    """Fill in each tile's mode, scatter and skew after clipping, and share of black.
-
-    Tiles of few values keep what they have in the first three, those without any in all.
-    """
-    columns = len(acrosses) - 1
-    for tile in range(jobs.start, jobs.stop):
-        down, across = tile // columns, tile % columns
-        top, bottom = downs[down], downs[down + 1]
-        left, right = acrosses[across], acrosses[across + 1]
-        values, count = np.zeros((bottom - top) * (right - left)), 0
-        for i in range(top, bottom):
-            for j in range(left, right):
-                if valid[i, j] and np.isfinite(image[i, j]):
-                    values[count] = image[i, j]
-                    count += 1
-        if count:
-            values = np.sort(values[:count])
-            black = 0
-            while black < count and values[black] <= 0.0:
-                black += 1
-            modes[tile, 3] = black / count
-        if count > _FEW:
-            modes[tile, 0], modes[tile, 1], modes[tile, 2] = _mode(values)
-
-
-@numba.njit(cache=True)
-def _mode(values: Any) -> tuple[float, float, float]:
-    """Estimate the mode of sorted values, and their scatter and skew after clipping."""
-    first, last = 0, len(values)
-    middle, mean, scatter = _moments(values)
-    for _ in range(_CLIPS):
-        low, high = first, last
-        while low < high and values[low] < middle - _CLIP * scatter:
-            low += 1
-        while high > low and values[high - 1] > middle + _CLIP * scatter:
-            high -= 1
-        if high - low == last - first or high - low < _FEW:
-            break
-        first, last = low, high
-        middle, mean, scatter = _moments(values[first:last])
-    off = mean - middle
-    return middle - 1.5 * off, scatter, off / scatter if scatter > 0.0 else 0.0
-
-
-@numba.njit(cache=True)
-def _moments(values: Any) -> tuple[float, float, float]:
-    """Return median, mean and standard deviation of sorted values.
-
-    numba compiles these loops faster than numpy's functions.
-    """
-    size = len(values)
-    total = squares = 0.0
-    for value in values:
-        total += value
-    mean = total / size
-    for value in values:
-        squares += (value - mean) ** 2
-    middle = 0.5 * (values[(size - 1) // 2] + values[size // 2])
-    return middle, mean, np.sqrt(squares / size)
-
-
-def find_bright_spots(image: F32, valid: Bool, light: float = 0.0) -> Bool:
-    """Mark glints (row, column): wider or many times as bright as a particle.
-
-    Brightness counts only if the light of a particle is known.
-    """
+    if not light:
+        return np.zeros(image.shape, dtype=np.bool_)
     shown = np.where(valid, image, np.float32(0.0))
-    bright = max(float(np.percentile(image[valid], _BRIGHT)) if valid.any() else 0.0, 1e-6)
-    square = np.ones((_SPOT, _SPOT), np.uint8)
-    spots = cv2.morphologyEx(shown, cv2.MORPH_OPEN, square) > _SPOT_LIGHT * bright
-    if light:
-        sums = cv2.boxFilter(shown, -1, (_SPOT, _SPOT), normalize=False)
-        partly = np.median(sums) <= _LIT * light  # the particles fill a part of the image only
-        lit = sums[sums > _LIT * light] if partly else sums
-        middle = float(np.median(lit)) if len(lit) else 0.0
-        scatter = 1.4826 * float(np.median(np.abs(lit - middle))) if len(lit) else 0.0
-        spots |= sums > middle + _MANY * light + _CHANCE * scatter
+    sums = cv2.boxFilter(shown, -1, (_SPOT, _SPOT), normalize=False)
+    partly = np.median(sums) <= _LIT * light  # the particles fill a part of the image only
+    lit = sums[sums > _LIT * light] if partly else sums
+    middle = float(np.median(lit)) if len(lit) else 0.0
+    scatter = 1.4826 * float(np.median(np.abs(lit - middle))) if len(lit) else 0.0
+    spots = sums > middle + _MANY * light + _CHANCE * scatter
     halo = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _HALO + 1, 2 * _HALO + 1))
     return np.asarray(cv2.dilate(spots.astype(np.uint8), halo) > 0)

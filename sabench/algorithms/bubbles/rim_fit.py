@@ -1,12 +1,28 @@
 """Fit of spheroids to the shadows of bubbles in all images simultaneously.
 
-The product of all bubbles' transmissions models the images. One bubble is fitted while the others
-stay, by Levenberg and Marquardt's method on the pixels around it in all views.
+Model. An image over its background is the product of all bubbles' transmissions: I_c(x) =
+prod_b t(x; ellipse of b in camera c). The transmission t over the distance from the middle, in
+radii, is a table (`backlit_images.Profile`): geometrical optics of a ball before a diffuser of some
+half angle, blurred by lens and pixel.
 
 Parameters of a spheroid are x, y, z of its centre, the logarithms of the long and of the short
 semi-axis, and the tilts of the short axis about z and about x. Its image is an ellipse, since a
 camera is almost linear over so small an object: column and row of the centre, and the inverse of
 the shape matrix as xx, xy, yy.
+
+Cost. Over the pixels around a bubble in all views, with r = model - image: sum of
+r^2 / (1 + (r / 0.12)^2), Geman and McClure's function, which other bubbles' shadows change little,
+plus (0.15 tilt)^2 for each tilt, which a ball does not show.
+
+Course (`search`). Hypotheses are balls with outlines that most views vote for. The diffuser's angle
+is the one that fits the largest of them best. In the order of vote times radius each is fitted
+while the others stay, by Levenberg and Marquardt's method, and accepted if its radius is within
+the limits and its gain is large enough: the median over the views of the darkness that it explains
+and no other bubble does, over all of its darkness. Accepted bubbles darken the model for those that
+follow. Small bubbles along a rim are replaced by one that explains the images as well, and all are
+fitted again, `sweeps` times; those that the others explain by now are dropped.
+
+Stopping. A fit ends when no parameter moves by more than 1e-3, or after its steps.
 """
 
 from collections.abc import Sequence

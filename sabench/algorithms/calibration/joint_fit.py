@@ -1,7 +1,26 @@
 """Joint fit of cameras, wall and boards: robust or alternating.
 
-`fit_jointly` fits lenses and boards first. What images hardly show, or not at all, follows: known
-positions fix the world and the depth, and nominal values hold the wall.
+Model. Camera i sees point k of board j at pixel P_i(R_j b_k + t_j): lens and wall of the camera, a
+rotation and a shift of the board. Free are rotations, centres and focal lengths of the cameras, the
+boards, and what a case calls unknown (`parameters.FreeParameters`).
+
+Cost. The sum of squared misses in pixels, plus, weighed against the noise of a pixel coordinate,
+squared differences from known positions, and from the nominal thicknesses, indices, wall and flat
+boards that are free (`make_prior`). `bundle_adjustment.refine` minimises it.
+
+Course of `fit_jointly`. First lenses and boards alone, which images show; then with known
+positions, which fix the world and the depth, and nominal values, which hold the wall. The noise is
+that of the median miss, and the second part is repeated while it changes by more than a tenth.
+
+Outliers. If a miss exceeds six times the noise, the fit is repeated with Cauchy's loss, whose scale
+falls with the misses; then points beyond four times the noise are left out, and least squares
+follow, until the points that are used no longer change.
+
+Impossible ends (`fit_checks.list_faults`: a board in the wall, a negative focal length). Through a
+plane wall images hardly show the depth of all boards together. The fit is tried from mirrored
+boards, and from boards placed before the cameras; then with more unknowns; and last with the depth
+held near that of such a fit, or of the initial guess, which the answer says. A fit that stays
+impossible is refused by `input_checks.check_fit`.
 
 `alternate` is the auto-calibration of J. Belden's thesis (MIT 2011, figure 4-1 and section 4.4.2):
 cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.

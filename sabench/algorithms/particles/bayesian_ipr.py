@@ -1,11 +1,42 @@
 """Particles of one frame as the most probable explanation of the images.
 
 Iterative particle reconstruction (B. Wieneke, Meas. Sci. Technol. 24, 024008, 2013) with a
-probability in place of its thresholds. A particle has a position, light with a prior that is
-learned from the images, and a penalty. First all candidates are fitted jointly, and the darkest
-are dropped, slowly. Then particles that gain less than their penalty are removed, others are found
-in what is left, and pairs that look like one are split. Widths, light, noise and shifts of the
-cameras come from the images.
+probability in place of its thresholds.
+
+Model. Less black and background, camera c shows I_c(x) = sum_n L_nc g_c(x - P_c(X_n)) + noise.
+P_c maps the position X_n of particle n to a pixel (`VolumePolynomials`). g_c is a Gaussian of two
+widths and a tilt, or flatter, which change linearly over the volume (`image_model`). The variance
+v_c(x) of a pixel is a line over the model's light, but at least that of dark pixels, 3 % of the
+model squared and a quarter of what is left squared. A saturated pixel has at least its value.
+
+Prior. With q_nc = ln(L_nc / typical light of camera c), q_n is normal with a covariance S:
+particles differ in size, and between cameras by their lobes of scattering. A ghost, which combines
+images of different particles, seldom follows it. Positions are spread evenly, with a density
+lambda from the images' light over a typical particle's.
+
+Cost. E = 1/2 sum_cx (I_c - model)^2 / v_c + 1/2 sum_n q_n' S^-1 q_n is minus the logarithm of the
+probability. With H, the second derivatives of E by a particle's position and q, a particle has to
+lower E by more than its penalty (ln det H - 3 ln 2 pi) / 2 - ln lambda + (ln det S) / 2 (Laplace's
+approximation). What it gains beyond that is the logarithm of its odds.
+
+Moves (P. J. Green, Biometrika 82, 711-732, 1995), where they raise the probability:
+
+    find    local maxima, in the volume, of the cameras' mean ln(what is left / a typical peak)
+    fit     each particle, against the images less all others: a Gauss-Newton step of its position,
+            and the most probable light; until a round lowers E by less than 0.03 per particle
+    remove  a particle is taken out, its neighbours are fitted again, and it comes back only if E
+            has risen by more than its penalty; the darkest first
+    split   two in place of one, where what is left promises a gain
+
+Course. `_share_the_light`: candidates of any light with images that are a little too wide are
+fitted jointly, and the darkest are dropped in steps. `_find_most`: find, fit, remove, with floors
+of the candidates' light and errors of the model that fall, and learn S, typical light and shifts of
+the cameras from particles that stand alone. `_find_visible` and `without_wrong_cameras`: once more
+without areas that something hides, or cameras that contradict the others. `split_and_find`: split,
+fit, find, remove, learn the images' shapes. Last, what some cameras do not see (`obstacles`).
+
+Stopping. Rounds end when the number of particles grows by less than 2 %, splits when they add less
+than a thousandth, and all at the deadline.
 """
 
 from dataclasses import dataclass, replace
@@ -29,12 +60,10 @@ _BETWEEN = 0.1  # scatter between cameras meanwhile
 # where images overlap, they are narrower than measured by this share, until widths are learned:
 # wider ones take the light of neighbours that are not found yet
 _NARROWER = 0.05
-_FEW_CAMERAS = 4  # that need all of the widening
 _FIRST_FLOOR = 0.35  # of the first candidates' mean light, over a typical particle's
 _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, over the median
 _REAL = 0.3  # of a typical particle's light: what counts for that median
 FLOORS = (0.2, 0.06)  # of the candidates of the first and the last later round
-_FEWER = 0.998  # of the candidates: more that are left share the light as before
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
@@ -52,8 +81,7 @@ class BayesianIprSettings:
     rounds : the most of search and removal, after the first.
     splits : the most rounds of splits, search and removal after those.
     fits : largest number of fits of all particles at each step; fewer once they converge.
-    widening : of the particles' images while candidates share the light, over their width, with
-        four cameras; less with more.
+    widening : of the particles' images while candidates share the light, over their width.
     budget_s : seconds after which a frame's search ends with the particles so far; None is no end.
     """
 
@@ -229,25 +257,21 @@ def _share_the_light(base: ParticleSearch, settings: BayesianIprSettings) -> Par
     """Fit the first candidates jointly, and drop the darkest, slowly.
 
     Known particles keep their light. The modelled images are wider than the real ones, which
-    keeps chance candidates together. In many cameras these are few, but then two particles with
-    wide images become one.
+    keeps chance candidates together.
     """
     search = base.rest(np.arange(len(base.typical)))
     # saturated pixels have no more light than they show, or candidates would not share it
     search.saturated = np.zeros_like(base.saturated)
-    few = min(_FEW_CAMERAS / len(search.typical), 1.0) ** 2
-    search.set_width((1.0 + few * (settings.widening - 1.0)) * base.sigma)
+    search.set_width(settings.widening * base.sigma)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
     learned_model.weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
     search.refine(settings.fits)
-    before = np.inf  # the first time
     for level in _DARKEST:
-        if len(search.position) < before:
-            learned_model.weigh_pixels(search, CAPS[0])
-            search.refine(settings.fits)
+        learned_model.weigh_pixels(search, CAPS[0])
+        search.refine(settings.fits)
         common = search.common_light()
-        real, before = common[common > _REAL], _FEWER * len(common)
+        real = common[common > _REAL]
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))
     search.saturated = base.saturated
     search.reset_covariance()

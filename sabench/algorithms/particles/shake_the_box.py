@@ -1,10 +1,34 @@
 """Particles followed over time, by predictions that are fitted to the images.
 
-Shake-The-Box (D. Schanz, S. Gesemann and A. Schroeder, Exp. Fluids 57, 70, 2016) with the fits and
-penalties of `bayesian_ipr`. The first two frames are searched on their own and linked. From then on
-known particles start at a Kalman filter's predictions and are fitted to the images, so that few are
-left to be found. Particles that appear in a single frame, inside the box, are ghosts; if a track
-misses frames between others, its positions there are interpolated.
+Shake-The-Box (D. Schanz, S. Gesemann and A. Schroeder, Exp. Fluids 57, 70, 2016) with the cost,
+fits and penalties of `bayesian_ipr`, which says what they are.
+
+Model. Along each axis a particle has position, velocity and acceleration s = (x, v, a), which a
+white-noise jerk of power J changes: after an interval d, s becomes F s and its covariance P
+becomes F P F' + J Q, with F and Q of d alone (`kalman_tracks`). A position found in the images has
+the variance R that they give it. A miss has the expected square P_xx + R: J, and the variance of a
+new track's acceleration, are those for which 68 % of misses are within it.
+
+Prior. A new track has the median velocity of its neighbours and their variance; one that begins
+with a link has the link's. First accelerations are those of turbulence, of the order of (u grad) u.
+
+Start. The first two frames are searched by `bayesian_ipr` and linked by displacements that
+neighbours share. If most links are wrong, six frames are searched together (`dense_start`).
+
+Course of a later frame:
+
+    predict   all tracks; those known to a pixel are put into the images where they are expected
+    fit       light and position of these, and remove them as `bayesian_ipr` does; tracks of three
+              positions or more that keep half of their light are not tried
+    find      in what is left: find, fit, remove, twice; learn the cameras' shifts; split once
+    recognise a particle is its track's if the sum of its squared misses over the expected ones is
+              below 20; others are paired with tracks that were not found
+    update    the tracks; frames that they missed get the positions of now, moved back in time
+    end       tracks outside the box, or not found for more than `gap` frames
+
+A particle seen in one frame alone, inside the box, is a ghost and dropped. Positions, velocities
+and accelerations of a frame are the most probable ones given the three frames before and after
+(`most_probable_motion`), so that a frame is given once these are there.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

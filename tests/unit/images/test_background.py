@@ -1,7 +1,6 @@
 """Background of images, and bright things that are no particles."""
 
-from typing import Any
-
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -22,18 +21,48 @@ def image(per_pixel: float, seed: int, spread: float = 0.3, across: F64 | None =
     return np.asarray(shown, dtype=np.float32)
 
 
-@pytest.mark.slow
+def background_of(shown: F64 | F32) -> F64:
+    whole = np.ones(shown.shape, dtype=np.bool_)
+    return background.estimate_background(shown.astype(np.float32), whole)[0].astype(np.float64)
+
+
 @pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.05])
 def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
-    ramp = np.linspace(20.0, 60.0, COLUMNS, dtype=np.float32)[None, :] * np.ones((ROWS, 1))
-    shown = (image(per_pixel, 1) + ramp).astype(np.float32)
-    found: Any = background.estimate_background(shown, np.ones(shown.shape, dtype=np.bool_))
-    apart = (found - ramp)[24:-24, 24:-24]
+    ramp = np.linspace(20.0, 60.0, COLUMNS)[None, :] * np.ones((ROWS, 1))
+    apart = (background_of(image(per_pixel, 1) + ramp) - ramp)[24:-24, 24:-24]
     assert np.abs(np.median(apart)) < NOISE
     assert np.percentile(np.abs(apart), 95) < 2.0 * NOISE
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.02])
+def test_bright_areas_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> None:
+    shown, patches = image(per_pixel, 5), np.zeros((ROWS, COLUMNS))
+    patches[40:80, 60:100] = patches[150:190, 201:241] = 12.0
+    patches[70:110, 85:125] = 16.0  # over the first one's corner
+    patches[:, 270:290] = 20.0  # a bar that is wider than particles
+    found, inside = background_of(shown + patches), patches > 0.0
+    apart = (found - patches)[inside]
+    assert np.abs(np.median(apart)) < NOISE
+    assert np.mean(np.abs(apart) < 2.0 * NOISE) > 0.85
+    assert np.mean(found[~inside] > 0.0) < 0.02  # a pixel or two around them
+
+
+def test_what_is_unknown_hides_no_background_around_it() -> None:
+    shown, valid = image(0.005, 7) + np.float32(30.0), np.ones((ROWS, COLUMNS), dtype=np.bool_)
+    valid[60:160, 80:200] = False
+    shown[~valid] = 4000.0
+    found = background.estimate_background(shown, valid)[0]
+    assert np.abs(found[valid] - 30.0).max() < 3.0 * NOISE
+    assert not found[~valid].any()
+
+
+@pytest.mark.parametrize("width", [11, 31, 87])
+def test_noise_lies_above_its_opening_as_stated(width: int) -> None:
+    drawn = np.random.default_rng(width).standard_normal((600, 600)).astype(np.float32)
+    opened = background._open(cv2.GaussianBlur(drawn, (0, 0), background._SMOOTH), width)
+    assert opened[90:-90, 90:-90].mean() == pytest.approx(-background.lift(width), abs=0.1)
+
+
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixel: float) -> None:
     shown = image(per_pixel, 2, spread=0.6)[None]
@@ -42,7 +71,21 @@ def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixe
     assert not flaws.unknown.any()
 
 
+def test_particles_that_fill_a_part_of_the_image_are_no_background() -> None:
+    shown = image(0.12, 8)
+    shown[:, : COLUMNS // 2] = image(0.0, 9)[:, : COLUMNS // 2]
+    assert not background_of(shown).any()
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10, 13))
+def test_particles_that_leave_nothing_dark_are_hardly_background(seed: int) -> None:
+    """They are denser in the middle, as before a camera whose view passes the volume's edges."""
+    across = np.random.default_rng(seed).triangular(-60.0, COLUMNS / 2, COLUMNS + 60.0, 60_000)
+    shown = image(0.6, seed, across=across)
+    assert background_of(shown).sum() < 0.03 * shown.sum()
+
+
 @pytest.mark.parametrize("per_pixel", [0.01, 0.1])
 def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> None:
     centers = [(60, 70, 2.0), (150, 250, 4.0)]
@@ -56,46 +99,11 @@ def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> 
     assert not flaws.points.any()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.05])
-def test_patches_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> None:
-    shown, patches = image(per_pixel, 5), np.zeros((ROWS, COLUMNS))
-    patches[40:80, 60:100] = patches[150:190, 201:241] = 12.0
-    patches[70:110, 85:125] = 16.0  # over the first one's corner
-    found = background.find_patches(
-        (shown + patches).astype(np.float32), np.ones(shown.shape, dtype=bool)
-    )
-    inside = patches > 0.0
-    apart = (found - patches)[inside]
-    assert np.abs(np.median(apart)) < NOISE
-    assert np.mean(np.abs(apart) < 2.0 * NOISE) > 0.9
-    assert np.mean(found[~inside] > 0.0) < 0.02  # a pixel or two around them
-
-
-@pytest.mark.slow
-def test_dense_particles_are_no_patches() -> None:
-    for per_pixel in (0.1, 0.2):
-        shown = image(per_pixel, 6)
-        found = background.find_patches(shown, np.ones(shown.shape, dtype=bool))
-        assert np.mean(found > 0.0) < 0.01
-    shown = image(0.12, 8)  # a volume that fills a part of the image
-    shown[:, : COLUMNS // 2] = image(0.0, 9)[:, : COLUMNS // 2]
-    assert np.mean(background.find_patches(shown, np.ones(shown.shape, dtype=bool)) > 0.0) < 0.005
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10, 13))
-def test_particles_that_leave_nothing_dark_are_no_patches(seed: int) -> None:
-    """They are denser in the middle, as before a camera whose view passes the volume's edges."""
-    across = np.random.default_rng(seed).triangular(-60.0, COLUMNS / 2, COLUMNS + 60.0, 60_000)
-    shown = image(0.6, seed, across=across)
-    assert not background.find_patches(shown, np.ones(shown.shape, dtype=bool)).any()
-
-
-def test_spots_of_nothing_are_none() -> None:
+def test_of_nothing_there_is_no_background_and_no_glint() -> None:
     none = np.zeros((ROWS, COLUMNS), dtype=np.float32)
-    assert not background.find_bright_spots(none, np.ones(none.shape, dtype=np.bool_)).any()
-    assert not background.find_bright_spots(none, np.zeros(none.shape, dtype=np.bool_)).any()
+    for valid in (np.ones(none.shape, dtype=np.bool_), np.zeros(none.shape, dtype=np.bool_)):
+        assert not background.estimate_background(none, valid)[0].any()
+        assert not background.find_glints(none, valid, 0.0).any()
 
 
 def test_areas_that_show_nothing_are_dark() -> None:
