@@ -17,8 +17,8 @@ largest share that agrees with the darkest is taken, unless the bright pixels lo
 background (`_show_particles`). Otherwise bright pixels are left out with a square of 7 pixels
 around each, the others measured again, and so on.
 
-Stopping. When fewer than 2 % of the pixels go, when the threshold no longer falls, or when fewer
-than 5 % remain.
+Stopping. When fewer than 2 % of the pixels go, when the noise no longer falls (the first time: when
+it rises by half, as from dim particles where black cuts the noise), or when fewer than 5 % remain.
 
 Threshold. The grey value that the distribution exceeds with the stated probability, plus half a
 grey value for the rounding: an upper bound of false alarms per pixel.
@@ -184,7 +184,8 @@ def _leave_out_bright(images: U16, counts: Bool, step: float, noise: DarkNoise) 
         if darker.sum() < _LEAST_SHARE * counts.sum():
             break
         now = _measure(images, darker, step, _WIDE_Z)
-        if round_ and np.median(now.threshold()) >= np.median(noise.threshold()):
+        rise = np.median(now.threshold() - now.level) / np.median(noise.threshold() - noise.level)
+        if rise >= (1.0 if round_ else _OUTLIER):
             break
         noise = now
         if darker.sum() > _SETTLED * dark.sum():

@@ -108,6 +108,15 @@ def test_what_is_not_known_tells_nothing_of_dense_particles() -> None:
     assert 1.8 < np.median(found.noise[:, :200]) < 2.6
 
 
+@pytest.mark.parametrize("below", [0.0, 1.5])
+def test_dim_particles_are_no_noise_where_black_cuts_it(below: float) -> None:
+    light = 10.0 * particles(5000)[1]
+    image = grey(normal(np.random.default_rng(17), -below, 1.5) + light, 8)
+    found = measure_dark_noise(image[None])
+    assert abs(np.median(found.level) + below) < 0.8
+    assert 1.3 < np.median(found.noise) < 2.4
+
+
 def test_forty_particles_of_a_recording_cut_at_black_are_forty_peaks() -> None:
     light = particles(40)[1]
     image = grey(normal(np.random.default_rng(7), 0.0, 0.8) + 60.0 * light, 8)
