@@ -114,7 +114,7 @@ def lift(width: int) -> float:
 
 
 def _dark_noise(image: F32, valid: Bool, smooth: F32) -> float:
-    """Measure the noise of the darkest pixels: their mean distance to the median of 3 x 3."""
+    """Measure the noise of the darkest pixels by their distances to medians of 3 x 3."""
     away = np.abs(image - cv2.medianBlur(image, 3))
     darker = valid & (smooth <= np.quantile(smooth[valid], _DARKEST))
     return max(math.sqrt(0.5 * math.pi) * float(away[darker].mean()), _LEAST_NOISE)
