@@ -25,7 +25,8 @@ class BayesianIprParameters(Parameters):
         1.3,
         ge=1.0,
         le=2.0,
-        description="of the particles' images while the first candidates share the light",
+        description="modelled width of particle images over the measured one, while the first "
+        "candidates are fitted jointly",
     )
     budget_s: float | None = Field(
         None,

@@ -82,7 +82,8 @@ def estimate_background(image: F32, valid: Bool) -> tuple[F32, float]:
     known = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _SMOOTH)
     smooth = cv2.GaussianBlur(np.where(valid, image, np.float32(0.0)), (0, 0), _SMOOTH)
     smooth = np.where(known > 0.1, smooth / np.maximum(known, 0.1), np.float32(np.inf))
-    noise, out, sparse = _dark_noise(image, valid, smooth), np.zeros_like(image), known.copy()
+    noise = _dark_noise(image, valid, smooth)
+    out, sparse = np.zeros_like(image), np.zeros_like(image)
     known, todo = valid.astype(np.float32), valid.copy()
     for width in _WIDTHS:
         if width > min(image.shape) or not todo.any():

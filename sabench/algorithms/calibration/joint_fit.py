@@ -11,6 +11,8 @@ boards that are free (`make_prior`). `bundle_adjustment.refine` minimises it.
 Course of `fit_jointly`. First lenses and boards alone, which images show; then with known
 positions, which fix the world and the depth, and nominal values, which hold the wall. The noise is
 that of the median miss, and the second part is repeated while it changes by more than a tenth.
+Where known points fix every board, the cameras are fitted to these first; where a case knows its
+cameras, only the boards are fitted.
 
 Outliers. If a miss exceeds six times the noise, the fit is repeated with Cauchy's loss, whose scale
 falls with the misses; then points beyond four times the noise are left out, and least squares

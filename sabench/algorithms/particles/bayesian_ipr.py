@@ -6,8 +6,9 @@ probability in place of its thresholds.
 Model. Less black and background, camera c shows I_c(x) = sum_n L_nc g_c(x - P_c(X_n)) + noise.
 P_c maps the position X_n of particle n to a pixel (`VolumePolynomials`). g_c is a Gaussian of two
 widths and a tilt, or flatter, which change linearly over the volume (`image_model`). The variance
-v_c(x) of a pixel is a line over the model's light, but at least that of dark pixels, 3 % of the
-model squared and a quarter of what is left squared. A saturated pixel has at least its value.
+v_c(x) of a pixel is a line over the model's light, at most a cap that falls from round to round,
+and at least the sum of the variance of dark pixels, (3 % of the model)^2 and (a quarter of what is
+left)^2. A saturated pixel has at least its value.
 
 Prior. With q_nc = ln(L_nc / typical light of camera c), q_n is normal with a covariance S:
 particles differ in size, and between cameras by their lobes of scattering. A ghost, which combines
@@ -30,10 +31,11 @@ Moves (P. J. Green, Biometrika 82, 711-732, 1995), where they raise the probabil
 
 Course. `_share_the_light`: candidates of any light with images that are a little too wide are
 fitted jointly, and the darkest are dropped in steps. `_find_most`: find, fit, remove, with floors
-of the candidates' light and errors of the model that fall, and learn S, typical light and shifts of
-the cameras from particles that stand alone. `_find_visible` and `without_wrong_cameras`: once more
-without areas that something hides, or cameras that contradict the others. `split_and_find`: split,
-fit, find, remove, learn the images' shapes. Last, what some cameras do not see (`obstacles`).
+of the candidates' light and errors of the model that fall; learn S and typical light from particles
+that stand alone, and the cameras' shifts from all. `_find_visible` and `without_wrong_cameras`:
+once more without areas that something hides, or cameras that contradict the others.
+`split_and_find`: split, fit, find, remove, learn the images' shapes. Last, what some cameras do not
+see (`obstacles`).
 
 Stopping. Rounds end when the number of particles grows by less than 2 %, splits when they add less
 than a thousandth, and all at the deadline.
@@ -81,7 +83,8 @@ class BayesianIprSettings:
     rounds : the most of search and removal, after the first.
     splits : the most rounds of splits, search and removal after those.
     fits : largest number of fits of all particles at each step; fewer once they converge.
-    widening : of the particles' images while candidates share the light, over their width.
+    widening : modelled width of particle images over the measured one, while the first candidates
+        are fitted jointly.
     budget_s : seconds after which a frame's search ends with the particles so far; None is no end.
     """
 

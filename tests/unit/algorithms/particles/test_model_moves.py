@@ -46,7 +46,7 @@ def even_light(count: int, share: float = 1.0) -> F64:
     return np.full((count, 4), share * TYPICAL)
 
 
-def one_of_two(maps: Maps, images: F64, share: float, middle: F64 | float = 0.0) -> Any:
+def one_of_two(maps: Maps, images: F64, share: float, middle: float = 0.0) -> Any:
     """A model without one particle in the middle, room for another, and that one alone."""
     model, room, lights = model_of(maps, images), room_of(maps), even_light(2, share)
     rows, alive = np.zeros((2, 3)) + middle, np.array([True, False])
