@@ -64,7 +64,6 @@ _BETWEEN = 0.1  # scatter between cameras meanwhile
 _NARROWER = 0.05
 _FIRST_FLOOR = 0.35  # of the first candidates' mean light, over a typical particle's
 _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, over the median
-_REAL = 0.3  # of a typical particle's light: what counts for that median
 FLOORS = (0.2, 0.06)  # of the candidates of the first and the last later round
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
@@ -274,8 +273,7 @@ def _share_the_light(base: ParticleSearch, settings: BayesianIprSettings) -> Par
         learned_model.weigh_pixels(search, CAPS[0])
         search.refine(settings.fits)
         common = search.common_light()
-        real = common[common > _REAL]
-        search.keep(common >= level * (np.median(real) if len(real) else 1.0))
+        search.keep(common >= level * np.median(common if len(common) else 1.0))
     search.saturated = base.saturated
     search.reset_covariance()
     search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * base.sigma)

@@ -2,8 +2,7 @@
 
 At every point of a lattice the images are looked up at its projections. Local maxima of a mean over
 cameras are candidates for particles. The mean is that of logarithms, so that a particle may be dim
-in one camera, and not more above the darkest camera than particles' scatter explains. In crowded
-images some cameras may be darker: neighbours have taken their light there.
+in one camera, and not more above the darkest camera than particles' scatter explains.
 
 Lattices, orders of equal candidates and directions of splits follow the axes of the box that is
 searched. Its axes are the world's, but images decide which of them is x, y and z, and in which
@@ -116,9 +115,7 @@ def slopes_per_mm(maps: VolumePolynomials) -> F64:
     return np.asarray(slopes / maps.half_mm)
 
 
-def find_candidates(
-    maps: VolumePolynomials, logs: F32, floor: float, spread: float, dark: int = 0
-) -> F64:
+def find_candidates(maps: VolumePolynomials, logs: F32, floor: float, spread: float) -> F64:
     """Find positions (n, 3) in the box of the maps, the brightest first.
 
     Parameters
@@ -127,13 +124,12 @@ def find_candidates(
         of `BRIGHTEST`; NaN where a camera shows nothing.
     floor : smallest mean of the cameras' logarithms.
     spread : the most that the mean may exceed the darkest camera's.
-    dark : cameras that may be darker: the next one counts as the darkest.
     """
     means = np.empty(lattice_shape(maps), dtype=np.float32)
     bounds = np.zeros_like(logs)
     limits = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
     _bound(logs, limits[2], bounds)
-    on_cores(_sweep, len(means), maps, logs, bounds, *limits, dark, means)
+    on_cores(_sweep, len(means), maps, logs, bounds, *limits, means)
     # points that exceed their 26 neighbours: counted, then listed
     maxima = np.zeros((_mark_maxima(means, np.zeros((0, 3), dtype=np.int64)), 3), dtype=np.int64)
     _mark_maxima(means, maxima)
@@ -178,7 +174,6 @@ def _sweep(
     floor: Any,
     spread: Any,
     most: Any,
-    dark: int,
     means: Any,
 ) -> None:
     """Fill in mean logarithms (z, y, x), `_DARK` if the bounds or means are low."""
@@ -188,11 +183,8 @@ def _sweep(
     for z in range(jobs.start, jobs.stop):
         pixels = np.zeros((cameras, 2, columns))
         above = np.zeros(columns, dtype=np.float32)
-        lacking = np.zeros(columns, dtype=np.int64)
-        lows = np.zeros(dark + 1)
         for y in range(rows):
             above[:] = 0.0
-            lacking[:] = 0
             for c in range(cameras):
                 project_row(
                     maps,
@@ -210,8 +202,7 @@ def _sweep(
                     if inside and above[x] > _DARK:
                         bound = bounds[c, int(row), int(column)]
                         above[x] += bound - floor
-                        lacking[x] += bound < least
-                        if lacking[x] > dark or above[x] + room < 0.0:
+                        if bound < least or above[x] + room < 0.0:
                             above[x] = _DARK
                     bright = bright or above[x] > _DARK
                 if not bright:
@@ -219,33 +210,26 @@ def _sweep(
             for x in range(columns):
                 means[z, y, x] = _DARK
                 if above[x] > _DARK:
-                    means[z, y, x] = _mean_log(logs, pixels, x, floor, spread, most, lows)
+                    means[z, y, x] = _mean_log(logs, pixels, x, floor, spread, most)
 
 
 @numba.njit(cache=True)
-def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any, lows: Any) -> Any:
-    """Average the cameras' logarithms at a point; `lows` has room for the darkest."""
-    total, count, cameras, last = 0.0, 0, len(logs), len(lows) - 1
-    lows[:] = np.inf
+def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any) -> Any:
+    """Average the cameras' logarithms at a point."""
+    total, count, cameras, darkest = 0.0, 0, len(logs), np.inf
     for c in range(cameras):
         value = _look_up(logs[c], pixels[c, 0, x], pixels[c, 1, x])
         if np.isnan(value):
             continue
-        total, count = total + value, count + 1
-        k = last
-        if value < lows[k]:
-            while k > 0 and lows[k - 1] > value:
-                lows[k] = lows[k - 1]
-                k -= 1
-            lows[k] = value
+        total, count, darkest = total + value, count + 1, min(darkest, value)
         if (
-            lows[last] + spread < floor
+            darkest + spread < floor
             or total + (cameras - c - 1) * most < (count + cameras - c - 1) * floor
         ):
             return _DARK
     if count < _FEWEST:
         return _DARK
-    mean = min(total / count, lows[last] + spread)
+    mean = min(total / count, darkest + spread)
     return np.float32(mean) if mean >= floor else _DARK
 
 

@@ -38,14 +38,9 @@ _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they 
 MOST_TILT = 0.7  # correlation of columns and rows in images: more is not two terms' Gaussian
 _CERTAIN = 30.0  # logarithm of the highest odds
 _PORTIONS = 8  # of many rows, in their order: the first are fitted before the next
-# standard deviations of noise: the least floor of candidates; of faint particles, which would all
-# be below it, just above the noise, or this share of a typical particle's light
-_FLOOR, _LEAST_FLOOR, _FAINT = 2.0, 1.1, 0.2
+_FLOOR = 1.1  # standard deviations of noise: the least floor of candidates
 _MANY, _FIRST = 16.0, 2.5  # of the estimated number: first candidates, times cameras, and least
 _MORE = 0.5  # of the particles so far: new candidates
-# images that share a pixel, at least and for each camera; where more do, the share of cameras in
-# which neighbours take all light of a particle that is not found yet
-_CROWDED, _EACH, _TAKEN = 1.25, 0.095, 0.2
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
 _CONTESTED = 0.25  # of the cameras: meetings with others that have just gained their penalty
@@ -365,12 +360,9 @@ class ParticleSearch:
         cameras = len(logs)
         scatter = joint_fit.scatter_between(self.covariance)
         spread = (math.sqrt(2.0 * math.log(cameras)) + 0.5) * scatter
-        noise = float(dark.max())
-        least = max(floor, min(_FLOOR * noise, max(_LEAST_FLOOR * noise, _FAINT)))
+        least = max(floor, _FLOOR * float(dark.max()))
         first = len(self.position)
-        crowded = self.overlap() > max(_CROWDED, _EACH * cameras)
-        taken = int(_TAKEN * cameras) if first and crowded else 0
-        position = candidate_search.find_candidates(self.maps, logs, math.log(least), spread, taken)
+        position = candidate_search.find_candidates(self.maps, logs, math.log(least), spread)
         share = max(_MANY / cameras, _FIRST)  # the more cameras, the fewer meet by chance
         most = _MORE * max(first, self.number) if first else share * self.number
         position = position[: int(most)]

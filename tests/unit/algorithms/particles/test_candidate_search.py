@@ -57,19 +57,6 @@ def test_one_dim_camera_is_forgiven_as_far_as_light_scatters(maps: Maps) -> None
     assert (distances(tolerant, points, maps) < near).all()
 
 
-def test_as_many_cameras_may_be_dark_as_are_allowed(maps: Maps) -> None:
-    """Neighbours took the light of two particles in two cameras, and of two more in one."""
-    points = 0.9 * unit_points(8)
-    light = np.full((8, 4), TYPICAL)
-    light[:4, 1] = light[:2, 2] = 0.0
-    logs, near = logs_of(paint(maps, points, light, ROWS, COLUMNS)), 3.0 * pixel_mm(maps)
-    for dark, found_from in ((0, 4), (1, 2), (2, 0)):
-        found = find_candidates(maps, logs, math.log(0.06), 0.2, dark)
-        there = distances(found, points, maps) < near
-        assert there[found_from:].all()
-        assert not there[:found_from].any()
-
-
 def test_a_camera_that_shows_nothing_does_not_count(maps: Maps) -> None:
     points = 0.9 * unit_points(5)
     logs = logs_of(paint(maps, points, np.full((5, 4), TYPICAL), ROWS, COLUMNS))
