@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.signal.windows import tukey
 
 from sabench.algorithms.calibration.parameters import fit_similarity
 from sabench.algorithms.refocus import refocus_sum
@@ -345,6 +344,8 @@ def _strip(values: F64, origin: F64, axes: F64) -> F64 | None:
 
 def _sharpness(distance: F64, spread: F64) -> EdgeSharpness:
     """Compute width and MTF50 from an edge spread that rises with the distance."""
+    from scipy.signal.windows import tukey  # takes long to load
+
     step = distance[1] - distance[0]
     line = np.diff(spread)
     size = 16 * len(line)

@@ -28,7 +28,7 @@ _HALLEY, _NEWTON = 6, 100
 _SMALL = 1e-5
 _SMALLER = 1e-8
 
-Media = tuple[float, tuple[tuple[float, float], ...], float, float | None, float]
+Media = tuple[float, tuple[tuple[float, float], ...], float, float, float]
 
 
 def media_of(wall: Wall, center_mm: F64) -> Media:
@@ -40,8 +40,7 @@ def media_of(wall: Wall, center_mm: F64) -> Media:
     rare = float(sum(depth for ratio, depth in constant if ratio == 1.0))  # 0 would be another type
     # numba cannot go through an empty tuple
     others = tuple(pair for pair in constant if pair[0] != 1.0) or ((1.0, 0.0),)
-    first = float(ratios[0]) if ratios[0] > 1.0 else None
-    return rare, others, float(ratios[-1]), first, before + wall.thickness_mm
+    return rare, others, float(ratios[-1]), float(ratios[0]), before + wall.thickness_mm
 
 
 @numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
@@ -105,12 +104,12 @@ def _paraxial(deep: Any, size: int, rare: float, others: Any, fluid: float, slop
 
 
 @numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _tangents(slope: Any, square: Any, size: int, first: Any) -> None:
+def _tangents(slope: Any, square: Any, size: int, first: float) -> None:
     """Convert q to the tangent in the cameras' medium, given the lateral distance.
 
     It is returned unchanged where that medium is the rarest.
     """
-    if first is not None:
+    if first > 1.0:
         for i in range(size):
             slope[i] /= math.sqrt(first + (first - 1.0) * slope[i] * slope[i] * square[i])
 

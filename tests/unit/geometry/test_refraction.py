@@ -208,13 +208,14 @@ def test_transmittance_is_the_transmitted_power(wall: Wall) -> None:
 def test_order_and_splitting_of_layers_do_not_matter() -> None:
     points = np.random.default_rng(10).uniform([-80.0, -50.0, 40.0], [80.0, 50.0, 90.0], (40, 3))
     stacks = [
-        ([1.5, 1.2, 1.8], [5.0, 2.0, 0.5]),
-        ([1.8, 1.5, 1.2], [0.5, 5.0, 2.0]),
-        ([1.5, 1.5, 1.2, 1.8], [1.0, 4.0, 2.0, 0.5]),
+        (([1.5, 1.2], [5.0, 2.0]), ([1.2, 1.5], [2.0, 5.0])),
+        (([1.5], [5.0]), ([1.5, 1.5], [1.0, 4.0])),
     ]
-    images = [straight_camera(make_wall([1.0, *n, 1.333], d)).project(points)[0] for n, d in stacks]
-    assert_allclose(images[1], images[0], rtol=0, atol=1e-9)
-    assert_allclose(images[2], images[0], rtol=0, atol=1e-9)
+    for pair in stacks:
+        one, other = (
+            straight_camera(make_wall([1.0, *n, 1.333], d)).project(points)[0] for n, d in pair
+        )
+        assert_allclose(other, one, rtol=0, atol=1e-9)
 
 
 def test_scaling_all_lengths_or_all_indices_changes_no_direction() -> None:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
-from scipy.signal import fftconvolve
 from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.image_model import MARGIN_PX, make_room
@@ -58,6 +57,8 @@ def test_widths_hold_at_any_density(per_pixel: float, sigma: tuple[float, float]
 
 def drawn(kernel: F64, per_pixel: float, light: float) -> F64:
     """An image of particles that look like a kernel of `FINE` points to a pixel, with noise."""
+    from scipy.signal import fftconvolve  # takes long to load
+
     rng, size = np.random.default_rng(9), (ROWS * FINE, COLUMNS * FINE)
     points = np.zeros(size)
     count = int(per_pixel * ROWS * COLUMNS)
