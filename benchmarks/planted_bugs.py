@@ -67,8 +67,8 @@ BUGS = (
     Bug(
         "thickness of the glass forgotten in fast projection",
         "sabench/geometry/projection_kernels.py",
-        "first, before + wall.thickness_mm",
-        "first, before",
+        "float(ratios[0]), before + wall.thickness_mm",
+        "float(ratios[0]), before",
         case="particles",
     ),
     Bug(
