@@ -8,10 +8,11 @@ stand in one statement. It is halved and doubled (of shares above one half, what
 is). Rules that `ablation_rules.py` lists are switched off, too, and so are the branches that it
 lists. Each variant runs in a new Python, whose importer changes that statement before numba sees
 it, on the cases that enter a function which uses the rule; where a kernel does, that and its
-callers are compiled anew. Variants run in turn until one matters.
+callers are compiled anew. Variants run in turn until one matters; with one seed, a variant ends
+with the first case that it makes worse, the fastest cases first.
 
 A record holds, of each rule, variant, case and seed, the figures of the case. They are not measured
-again while the code of the room is the same. The last column of
+again while the code of the room is the same, nor are rules that were judged. The last column of
 the table is the verdict: *keep* where a variant makes some case worse by more than `LOSS` of F1 and
 a particle and a half, or by `WORSE_RMS`; *weigh* where another case gets better by as much; *turn*
 where cases only get better; *go* where nothing matters, and *no case* where none uses the rule.
@@ -27,6 +28,7 @@ import sys
 import tempfile
 import threading
 from collections import defaultdict
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,8 +77,11 @@ def run_here(room: str, cases: list[str], seeds: list[int], traced: bool) -> Non
 
 def run_variant(
     room: str, rule: Rule | None, variant: str, cases: list[str], seed: int
-) -> list[dict[str, Any]]:
-    """Score cases in a new Python, with a rule changed."""
+) -> Iterator[dict[str, Any]]:
+    """Score cases in a new Python, one after the other, with a rule changed.
+
+    A case that does not come to its end has an F1 of 0. That Python ends with the iterator.
+    """
     words = [sys.executable, str(Path(__file__)), room, "--cases", *cases, "--seeds", str(seed)]
     environment = os.environ | {"PYTHONWARNINGS": "ignore"}
     changed = [rule.module, rule.name, rule.variants[variant]] if rule else ["", "", ""]
@@ -84,19 +89,30 @@ def run_variant(
         if rule is not None and rule.kernels:
             environment["NUMBA_CACHE_DIR"] = folder
             _copy_kernels(Path(folder), rule.kernels)
-        done = subprocess.run(
-            [*words, "--change", *changed],
-            env=environment,
-            text=True,
-            capture_output=True,
-            check=False,
-        )
-    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    known = {line["case"] for line in lines}
-    why = (done.stderr.strip().splitlines()[-1:] or [f"exit {done.returncode}"])[0][:200]
-    return lines + [
-        {"case": case, "seed": seed, "f1": 0.0, "error": why} for case in cases if case not in known
-    ]
+        with tempfile.TemporaryFile("w+") as errors:
+            child = subprocess.Popen(
+                [*words, "--change", *changed],
+                env=environment,
+                text=True,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+            )
+            assert child.stdout is not None
+            try:
+                left = set(cases)
+                for line in child.stdout:
+                    if line.startswith("{"):
+                        row = json.loads(line)
+                        left.remove(row["case"])
+                        yield row
+                child.wait()
+            finally:
+                child.kill()
+                child.wait()
+            errors.seek(0)
+            why = (errors.read().strip().splitlines()[-1:] or [f"exit {child.returncode}"])[0][:200]
+    for case in sorted(left):
+        yield {"case": case, "seed": seed, "f1": 0.0, "error": why}
 
 
 def _copy_kernels(folder: Path, without: set[str]) -> None:
@@ -125,6 +141,7 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
     if record.get(room, {}).get("code") != code_of(room):
         record[room] = {"code": code_of(room), "rules": {}}
     table = record[room]["rules"]
+    screened = len(options.seeds) == 1
     chosen = [
         rule
         for rule in rules_of(room)
@@ -133,27 +150,27 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
 
     def work(rule: Rule | None) -> None:
         """Run variants, until one matters."""
-        entry = table.setdefault(rule.key if rule else "", {"variants": {}})
-        if rule:
-            entry["text"] = rule.text
+        entry = table[rule.key if rule else ""]
         for variant in rule.variants if rule else ["as it is"]:
+            if rule and screened and verdict(table, rule.key) not in ("go", "no case"):
+                break
             rows = entry["variants"].setdefault(variant, [])
             known = {(row["case"], row["seed"]) for row in rows}
             for seed in options.seeds:
                 todo = [
                     case
-                    for case in cases
+                    for case in sorted(cases, key=lambda case: (seconds.get(case, 0.0), case))
                     if (case, seed) not in known and (not rule or rule.users & entered[case])
                 ]
                 for row in run_variant(room, rule, variant, todo, seed) if todo else ():
                     entered[row["case"]].update(row.pop("entered", ()))
-                    rows.append(row)
+                    rows.append(_rounded(row))
+                    if rule and screened and worth(table, rule.key, variant)[row["case"]].worse:
+                        break
             if rule:
                 print(f"{rule.key} {variant}: {_moved(table, rule.key, variant)}", flush=True)
             with lock:
-                options.record.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n")
-            if rule and verdict(table, rule.key) not in ("go", "no case"):
-                break
+                options.record.write_text(_written(record))
 
     from benchmarks.ablation_cases import FOLDER
 
@@ -165,11 +182,39 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
             entered[case] = set(functions)
     else:
         table.pop("", None)  # they are traced with the rules as they are
+    seconds: dict[str, float] = {}
+    table.setdefault("", {"variants": {}})
+    for rule in chosen:
+        table.setdefault(rule.key, {"variants": {}, "text": rule.text})
     work(None)
+    for row in table[""]["variants"]["as it is"]:
+        seconds[row["case"]] = row["cpu_s"]
     names.write_text(json.dumps({case: sorted(each) for case, each in entered.items()}))
     with ThreadPoolExecutor(options.jobs) as pool:
         list(pool.map(work, chosen))
     return record
+
+
+def _rounded(row: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what is not compared."""
+    shown = ("case", "seed", "f1", "rms_px", "true", "cpu_s", "error")
+    return {
+        key: round(row[key], 4) if isinstance(row[key], float) else row[key]
+        for key in shown
+        if key in row
+    }
+
+
+def _written(record: dict[str, Any]) -> str:
+    """Write a record with a line for each rule."""
+    rooms = []
+    for room, of in sorted(record.items()):
+        lines = [
+            f"{json.dumps(key)}: {json.dumps(of['rules'][key])}" for key in sorted(of["rules"])
+        ]
+        head = f'{json.dumps(room)}: {{"code": {json.dumps(of["code"])}, "rules": {{\n'
+        rooms.append(head + ",\n".join(lines) + "\n}}")
+    return "{" + ",\n".join(rooms) + "}\n"
 
 
 @dataclass(frozen=True)
@@ -237,17 +282,17 @@ def verdict(table: dict[str, Any], key: str) -> str:
 
 def table_of(record: dict[str, Any], room: str) -> str:
     """Write a Markdown table of the rules of a room that were measured, worth last."""
-    lines = ["| rule | as it is | changed | what it moves | verdict |", "|---|---|---|---|---|"]
+    lines = ["| rule | as it is | what a change moves | verdict |", "|---|---|---|---|"]
     table = record[room]["rules"]
-    for key in sorted(
-        table, key=lambda key: (_ORDER.index(verdict(table, key)) if key else 9, key)
-    ):
-        for number, variant in enumerate(table[key]["variants"] if key else ()):
-            text = table[key]["text"].partition("=")[2].strip() or "a branch"
-            head = f"`{key.removeprefix(room.replace('/', '.') + '.')}` | `{text}`"
-            told = _moved(table, key, variant)
-            end = "" if number else verdict(table, key)
-            lines.append(f"| {' | ' if number else head} | {variant} | {told} | {end} |")
+    keys = [key for key in table if key and table[key]["variants"]]
+    for key in sorted(keys, key=lambda key: (_ORDER.index(verdict(table, key)), key)):
+        text = " ".join(table[key]["text"].partition("=")[2].split())
+        told = "; ".join(
+            f"{variant}: {_moved(table, key, variant)}" for variant in table[key]["variants"]
+        )
+        short = key.removeprefix(f"{room.replace('/', '.')}.")
+        as_it_is = f"`{text}`" if text else "a branch"
+        lines.append(f"| `{short}` | {as_it_is} | {told} | {verdict(table, key)} |")
     return "\n".join(lines)
 
 

@@ -32,7 +32,6 @@ STRUCTURE = {
     "images.preprocessing.WHITE",
     "images.statistics.DEPTHS",
     "images.statistics.SCALED_WHITE",
-    "images.statistics._FROM_MAD",
     "images.dark_noise._GOLDEN",
 }
 

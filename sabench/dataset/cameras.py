@@ -120,7 +120,7 @@ def _is_sound(wall: WallRecord) -> bool:
     return abs(float(np.linalg.norm(direction)) - 1.0) <= 1e-9 and min(sizes) > 0.0
 
 
-_MOST_DN = 65535  # of 16 bits
+MOST_DN = 65535  # of 16 bits
 
 
 class SensorLevels(schema.StoredRecord):
@@ -355,10 +355,10 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
             f"cameras, got {len(levels.by_camera)}"
         )
     for camera, (black, white) in zip(loaded.cameras, levels.by_camera, strict=False):
-        if not 0.0 <= black < white <= _MOST_DN or not 0.0 <= levels.black_dn <= _MOST_DN:
+        if not 0.0 <= black < white <= MOST_DN or not 0.0 <= levels.black_dn <= MOST_DN:
             raise InputError(
                 f"{path}: sensor.by_camera: {camera.name}: expected black below white, of 0 to "
-                f"{_MOST_DN}, got {black:g} and {white:g}, and black_dn = {levels.black_dn:g}"
+                f"{MOST_DN}, got {black:g} and {white:g}, and black_dn = {levels.black_dn:g}"
             )
     grid = loaded.grid
     if min(*grid.shape, *grid.voxel_mm) <= 0 or any(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.dataset.cameras import read_cameras
+from sabench.dataset.cameras import MOST_DN, read_cameras
 from sabench.dataset.recorded import RecordedWriter, ReferenceList, extended, recorded_writer
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import grid_of_box, pixel_size_mm, propose_box, share_in_view
@@ -141,7 +141,6 @@ def _counters_of(paths: Sequence[Path]) -> list[int]:
 
 
 Box = tuple[float, float, float, float, float, float]
-_MOST_DN = 65535
 _ENOUGH = 0.5  # share of the grid that a camera should see
 
 
@@ -372,9 +371,9 @@ def _levels(values: Mapping[str, GreyValues], options: ImportOptions) -> dict[st
         for name, one in values.items()
     }
     for name, one in levels.items():
-        if not 0.0 <= one.black_dn < one.white_dn <= _MOST_DN:
+        if not 0.0 <= one.black_dn < one.white_dn <= MOST_DN:
             raise InputError(
-                f"{name}: expected black below white, of 0 to {_MOST_DN}, got {one.black_dn:g} and "
+                f"{name}: expected black below white, of 0 to {MOST_DN}, got {one.black_dn:g} and "
                 f"{one.white_dn:g}"
             )
     return levels

@@ -16,7 +16,7 @@ import numpy as np
 
 from sabench.images.flaws import Flaws
 from sabench.images.widths import measure_images
-from sabench.utils.arrays import F32, Bool
+from sabench.utils.arrays import F32, FROM_MAD, Bool
 
 _SMOOTH = 1.0  # px: of noise, before the opening
 # px: width of the octagon if all pixels were dark: wider than particles' images, and narrow enough
@@ -143,7 +143,7 @@ def find_glints(image: F32, valid: Bool, light: float) -> Bool:
     partly = np.median(sums) <= _LIT * light  # the particles fill a part of the image only
     lit = sums[sums > _LIT * light] if partly else sums
     middle = float(np.median(lit)) if len(lit) else 0.0
-    scatter = 1.4826 * float(np.median(np.abs(lit - middle))) if len(lit) else 0.0
+    scatter = FROM_MAD * float(np.median(np.abs(lit - middle))) if len(lit) else 0.0
     spots = sums > middle + _MANY * light + _CHANCE * scatter
     halo = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _HALO + 1, 2 * _HALO + 1))
     return np.asarray(cv2.dilate(spots.astype(np.uint8), halo) > 0)

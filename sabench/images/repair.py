@@ -11,12 +11,12 @@ import numpy as np
 
 from sabench.images.flaws import Flaws, Repaired
 from sabench.images.peaks import maxima
-from sabench.utils.arrays import F32, U16, Bool
+from sabench.images.widths import LEAST_NOISE
+from sabench.utils.arrays import F32, FROM_MAD, U16, Bool
 from sabench.utils.compiled import numba
 
 _WINDOW = 9  # px: edge of the square whose darkest part is the background
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
-_LEAST_NOISE = 0.5  # grey values: of rounding
 _NARROW = 0.25  # of the typical peak's sharpness: the neighbours of hot pixels are darker
 _SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px
 _DARK, _HOLE = 0.15, 0.4  # of the light on both sides: the limit for dead pixels, and by sharpness
@@ -58,7 +58,7 @@ def above_background(grey: U16) -> tuple[F32, float]:
     smooth = cv2.medianBlur(grey, 3)
     low = cv2.erode(smooth, np.ones((_WINDOW, _WINDOW), dtype=np.uint8))
     light = grey.astype(np.float32) - low
-    return light, max(1.4826 * _middle(cv2.absdiff(grey, smooth)), _LEAST_NOISE)
+    return light, max(FROM_MAD * _middle(cv2.absdiff(grey, smooth)), LEAST_NOISE)
 
 
 def _middle(grey: U16) -> int:

@@ -19,7 +19,7 @@ from sabench.images.levels import DEPTHS
 from sabench.images.peaks import find_peaks
 from sabench.images.repair import above_background, find_points
 from sabench.images.widths import PIXEL
-from sabench.utils.arrays import F32, F64, U16
+from sabench.utils.arrays import F32, F64, FROM_MAD, U16
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
@@ -128,7 +128,6 @@ NOISE_FRAMES = 3  # for the noise of a stack
 _DIM = 50.0  # percentile of the pixels' medians below which they are dim
 _MIDDLE = 1.2  # variance of the mean of the middle half of n normal numbers, times n
 _FAR, _ROUNDS = 4.0, 3  # standard deviations for clipping, and rounds of it
-_FROM_MAD = 1.4826  # standard deviation of normal numbers, over their median absolute deviation
 
 # Fits of particle images:
 _CLEAR = 8.0  # least height of a peak above the background, standard deviations of noise
@@ -265,7 +264,7 @@ def flux_ratio_spread(flux: F64) -> RatioSpread:
     if not ratios:
         return RatioSpread(np.nan, np.nan, 0)
     every = np.concatenate(ratios)
-    robust = _FROM_MAD * float(np.median(np.abs(every)))
+    robust = FROM_MAD * float(np.median(np.abs(every)))
     return RatioSpread(float(np.std(every)), robust, len(every))
 
 
@@ -300,7 +299,7 @@ def image_noise(grey: U16) -> float:
     away = cv2.absdiff(grey, smooth)[smooth <= np.median(smooth)]
     up_to = np.cumsum(np.bincount(away.ravel()))
     middle = np.interp(0.5 * up_to[-1], [0, *up_to], [0.0, *(np.arange(len(up_to)) + 0.5)])
-    return max(0.5, _FROM_MAD * float(middle))
+    return max(0.5, FROM_MAD * float(middle))
 
 
 def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:

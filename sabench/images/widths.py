@@ -26,7 +26,7 @@ _MOST_TILT = 0.95  # of long streaks
 _NEAR = range(1, 6)  # px: distances of pixels that share particles
 _FAR = range(6, 8)  # px: so far apart, pixels share no particle
 _LOCAL = 31  # px: square of the mean that products are less; many particles' images
-_LEAST_NOISE = 0.5  # grey values: of rounding
+LEAST_NOISE = 0.5  # grey values: of rounding
 _FEW, _FEW_PEAKS = 50, 10  # least numbers of values below black, and of peaks
 _CLEAR = 6.0  # standard deviations of neighbours' products, and of peaks, above those of noise
 _PEAK, _AROUND = 5, 7  # px: squares with a peak as brightest pixel, and with its light
@@ -119,7 +119,7 @@ def measure_images(images: F64, valid: Bool) -> ImageStatistics:
 def noise_below_black(values: F64 | F32) -> float:
     """Estimate the standard deviation of dark pixels from the values below black."""
     below = values[values < 0.0]
-    return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, _LEAST_NOISE)
+    return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, LEAST_NOISE)
 
 
 def _without_brightest(image: F64, valid: Bool) -> Bool:

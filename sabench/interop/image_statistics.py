@@ -7,7 +7,7 @@ import numpy as np
 from sabench.api import Observation
 from sabench.images.peaks import find_peaks
 from sabench.images.widths import image_widths
-from sabench.utils.arrays import F32
+from sabench.utils.arrays import F32, FROM_MAD
 
 # smallest peak, relative to a bright particle's and to the background's standard deviation: the
 # larger of both holds
@@ -66,4 +66,4 @@ def background_noise(image: F32) -> float:
     """
     middle = np.median(image)
     dark = image[image <= 2.0 * middle] if middle > 0.0 else image
-    return float(1.4826 * np.median(np.abs(dark - middle)))
+    return float(FROM_MAD * np.median(np.abs(dark - middle)))

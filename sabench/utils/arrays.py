@@ -14,6 +14,8 @@ U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 Rows = tuple[tuple[float, ...], ...]
 
+FROM_MAD = 1.4826  # standard deviation of normal numbers over their median absolute deviation
+
 
 def triple(values: npt.ArrayLike) -> tuple[float, float, float]:
     """Return three numbers as a tuple of Python floats, for frozen values."""

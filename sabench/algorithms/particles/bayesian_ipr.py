@@ -56,15 +56,12 @@ from sabench.images.widths import measure_images
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.threads import Deadline
 
-_FEWEST = 3  # cameras that must show particles
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
-_BETWEEN = 0.1  # scatter between cameras meanwhile
 # where images overlap, they are narrower than measured by this share, until widths are learned:
 # wider ones take the light of neighbours that are not found yet
 _NARROWER = 0.05
-_FIRST_FLOOR = 0.35  # of the first candidates' mean light, over a typical particle's
 _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, over the median
-FLOORS = (0.2, 0.06)  # of the candidates of the first and the last later round
+FLOORS = (0.2, 0.06)  # of candidates' mean light, over a typical particle's: first and last
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
@@ -212,7 +209,7 @@ def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> Partic
     unknown = clear.flaws.unknown if hidden is None else clear.flaws.unknown | hidden
     statistics = measure_images(clear.images.astype(np.float64), ~unknown)
     statistics = replace(statistics, shown=statistics.shown & ~wrong)
-    if statistics.shown.sum() < _FEWEST:
+    if statistics.shown.sum() < candidate_search.FEWEST:
         return None
     search = ParticleSearch(clear, maps, statistics, settings.fits)
     if hidden is not None:
@@ -265,9 +262,9 @@ def _share_the_light(base: ParticleSearch, settings: BayesianIprSettings) -> Par
     # saturated pixels have no more light than they show, or candidates would not share it
     search.saturated = np.zeros_like(base.saturated)
     search.set_width(settings.widening * base.sigma)
-    search.reset_covariance(_BETWEEN, _ANY_LIGHT)
+    search.reset_covariance(common=_ANY_LIGHT)
     learned_model.weigh_pixels(search, CAPS[0])
-    search.find(_FIRST_FLOOR)
+    search.find(FLOORS[0])
     search.refine(settings.fits)
     for level in _DARKEST:
         learned_model.weigh_pixels(search, CAPS[0])

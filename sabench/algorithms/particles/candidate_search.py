@@ -36,7 +36,7 @@ _DEEPEST = 3.0  # of the longest step along the depth over one across
 _DIAGONALS = [[1, 1, 0], [1, -1, 0], [1, 0, 1], [0, 1, 1], [1, 0, -1], [0, 1, -1]]
 _STEPS = np.concatenate([np.eye(3), 0.7 * np.array(_DIAGONALS)])
 _DARK = np.float32(-1e9)
-_FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too often
+FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too often
 
 # Axes of the rig, shares of the volume, and faults of cameras:
 _VECTORS = {"position_mm", "velocity_mm_s", "acceleration_mm_s2"}
@@ -227,7 +227,7 @@ def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any
             or total + (cameras - c - 1) * most < (count + cameras - c - 1) * floor
         ):
             return _DARK
-    if count < _FEWEST:
+    if count < FEWEST:
         return _DARK
     mean = min(total / count, darkest + spread)
     return np.float32(mean) if mean >= floor else _DARK
@@ -359,7 +359,7 @@ def _blocks(maps: VolumePolynomials, shape: tuple[int, ...], count: int) -> Iter
 
 def find_fault(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
     """Say why particles cannot be searched for with these cameras; None if they can."""
-    if len(cameras) < _FEWEST:
+    if len(cameras) < FEWEST:
         return "it needs three cameras"
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
     shares = 0.5 + _INSIDE * (np.arange(_NODES) / (_NODES - 1) - 0.5)
@@ -371,6 +371,6 @@ def find_fault(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
         if not valid.all():
             return f"it needs a light path from all of the grid to {camera.name}"
         count += camera.contains(pixels)
-    if count.max() < _FEWEST:
+    if count.max() < FEWEST:
         return f"it needs three cameras that see the same part of the grid, got {count.max()}"
     return None

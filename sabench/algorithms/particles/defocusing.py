@@ -27,8 +27,6 @@ from sabench.utils.arrays import F64, I64
 
 _PARALLEL_DEGREES = 1.0  # between an optical axis and the normal of the apertures' plane
 _EQUAL = 0.02  # relative difference of the sides of an equilateral triangle
-_MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
-_SEARCHED = 1.5  # times the reach: search radius of the third image
 _THIRD = 4  # nearest images of the third camera that are tried
 _BATCH = 2000  # of the first camera's images at a time, for bounded memory
 
@@ -170,7 +168,7 @@ def match_triangles(
             position, off = apertures.locate(triangles)
             voxels = grid.to_voxels(position)
             last = np.asarray(grid.shape[::-1]) - 1.0
-            inside = ((voxels >= -_MARGIN) & (voxels <= last + _MARGIN)).all(axis=1)
+            inside = ((voxels >= -matching.MARGIN) & (voxels <= last + matching.MARGIN)).all(axis=1)
             good = inside & (off <= reach_px)
             sets.append(matching.PeakSets(position[good], hit[good], off[good]))
     return matching.join_sets(sets)
@@ -181,7 +179,7 @@ def _triples(
 ) -> Iterator[I64]:
     """Yield numbers (n, 3) of images that are nearly corners of a triangle."""
     first, second, third = images
-    tree, near = cKDTree(third), _SEARCHED * reach_px
+    tree, near = cKDTree(third), matching.SEARCHED * reach_px
     to_third = (apertures.corners_mm[2] - apertures.corners_mm[0]) / apertures.side_mm
     # sides between the first two images run along the first axis
     order = np.argsort(second[:, 1], kind="stable")
@@ -211,5 +209,5 @@ def _corners(grid: Grid) -> F64:
     """List the corners (8, 3) of a grid with its margin, mm."""
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
     high = low + voxel * (np.asarray(grid.shape[::-1]) - 1)
-    ends = low - _MARGIN * voxel, high + _MARGIN * voxel
+    ends = low - matching.MARGIN * voxel, high + matching.MARGIN * voxel
     return np.array(list(itertools.product(*np.transpose(ends))))

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from sabench.algorithms.particles import kalman_tracks
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, Known, search_frame
 from sabench.algorithms.particles.candidate_search import mean_spacing, pixel_mm
-from sabench.algorithms.particles.linking import link
+from sabench.algorithms.particles.linking import ALIKE, NEIGHBOURS, link
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.api import Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
@@ -32,8 +32,6 @@ WINDOW_FRAMES = 6  # frames that are searched together
 _PASSES = 4  # the most
 _GROWTH = 1.1  # of the number of confirmed particles in a pass: after less comes the last pass
 _ERROR_PX = 0.25  # of positions where images overlap, far more than they claim
-_NEIGHBOURS = 8
-_ALIKE = 0.4  # of the distance between neighbours: right links differ by less from those around
 _SOLVED = 0.85  # of links: as many are right if few particles are ghosts
 
 # Tracks through them:
@@ -61,11 +59,11 @@ def are_mostly_wrong(position: F64, shift: F64) -> bool:
     ----------
     position, shift : (n, 3) where each link begins and the displacement, in one unit.
     """
-    if len(position) <= _NEIGHBOURS:
+    if len(position) <= NEIGHBOURS:
         return False
-    distance, near = cKDTree(position).query(position, range(2, _NEIGHBOURS + 2))
+    distance, near = cKDTree(position).query(position, range(2, NEIGHBOURS + 2))
     apart = np.linalg.norm(shift - np.median(shift[near], axis=1), axis=1)
-    alike = apart < _ALIKE * np.median(distance[:, 0])
+    alike = apart < ALIKE * np.median(distance[:, 0])
     return bool(alike.mean() < _SOLVED)
 
 
@@ -90,7 +88,7 @@ def search_window(
     for number in range(_PASSES):
         frames = [search.found() for search in searches if search is not None]
         counts = [len(frame.position_mm) for frame in frames]
-        if len(counts) < len(cases) or min(counts) <= _NEIGHBOURS:
+        if len(counts) < len(cases) or min(counts) <= NEIGHBOURS:
             return list(alone)
         finds = []
         for frame, time in zip(frames, times_s, strict=True):

@@ -18,13 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.linking import assign
+from sabench.algorithms.particles.linking import NEIGHBOURS, assign
 from sabench.algorithms.particles.particle_search import joined, no_particles
 from sabench.api import FoundParticles
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, FROM_MAD, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
-_NEIGHBOURS = 8  # that give a new track's expected velocity
 _NEAREST = 5  # particles that give the velocities' gradient
 _WITHIN = 0.6827  # share of a normal variable's values within one standard deviation
 _ENOUGH, _FASTEST = 30, 4.0  # predictions for the jerk's strength, and its change in one update
@@ -36,7 +35,6 @@ ANY_SPEED = 1e6  # mm/s
 # times gradient times time: those of turbulence, within a few percent for two integral lengths;
 # and the most that an acceleration changes from frame to frame
 _ACCELERATION, _CHANGE, _MOST_CHANGE = 1.4, 3.5, 1.4
-_MAD = 1.4826  # standard deviation over the median of distances from the median
 _ABSENT = 1e12  # variance of a missing position, over the largest other one
 
 
@@ -182,7 +180,7 @@ def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -
     distance, near = cKDTree(position).query(position, _NEAREST + 1)
     apart = np.linalg.norm(velocity[near[:, 1:]] - velocity[:, None], axis=2)
     gradient = float(np.median(apart / np.maximum(distance[:, 1:], 1e-12)))
-    fluctuation = _MAD * np.median(np.abs(velocity - np.median(velocity, axis=0)), axis=0)
+    fluctuation = FROM_MAD * np.median(np.abs(velocity - np.median(velocity, axis=0)), axis=0)
     acceleration = max(_ACCELERATION * gradient * float(np.sqrt(np.mean(fluctuation**2))), least)
     change = min(_CHANGE * gradient * longest_s, _MOST_CHANGE)
     return KalmanTracks.start(acceleration**2, (change * acceleration) ** 2 / longest_s)
@@ -192,10 +190,10 @@ def velocity_near(position: F64, neighbours: F64, velocity: F64) -> tuple[F64, F
     """Estimate velocities (n, 3) and variances from known ones (m, 3); 0 without any."""
     if not len(neighbours):
         return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
-    count = min(_NEIGHBOURS, len(neighbours))
+    count = min(NEIGHBOURS, len(neighbours))
     _, near = cKDTree(neighbours).query(position, range(1, count + 1))
     around = velocity[near]
-    spread = around.var(axis=1) * (1.0 + 2.0 / _NEIGHBOURS)
+    spread = around.var(axis=1) * (1.0 + 2.0 / NEIGHBOURS)
     if count < 2:
         spread = np.full_like(position, ANY_SPEED**2)
     return np.median(around, axis=1), spread

@@ -38,7 +38,8 @@ from sabench.utils.threads import for_each, share_rows
 from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, TILT_SLOPE_Y
 
 _FEW = 30  # too few particles to represent all
-_ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
+_STEPS = 2  # of a fit of the cameras' shifts or shapes
+_FARTHEST_PX = 0.5  # the longest step of a shift
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _TILT_CHANGE = 0.2  # of tilts, at first and over the box
 _TILTED = 0.2  # correlation somewhere in the box that loses particles
@@ -47,7 +48,6 @@ _SHAPE_ERRORS = np.array(
     [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]] * 2 + [[_TILT_CHANGE] * 4, [_FLAT_CHANGE] * 4]
 )
 _SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE], [_FLAT_CHANGE]])
-_WIDTH_STEPS = 2
 
 # Variance of pixels:
 _CLIP = 30.0  # mean squares: largest contribution of a pixel
@@ -55,9 +55,8 @@ _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
 # Isolated particles:
-_OVERLAP = 4.8  # widths of images: distance of those that overlap
-_ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of isolated particles
-_BORDER = 4.8  # widths: distance from the border where images are not complete
+_OVERLAP = 4.8  # widths of images: the distance of those that overlap, or reach the border
+_ALONE, _HARDLY = 0.03, 0.1  # share and overlap of isolated particles
 _PARTS = 16  # of the particles, summed apart: the number of cores does not matter
 
 
@@ -101,7 +100,7 @@ def learn_widths(search: ParticleSearch) -> None:
     misfit = misfits(model, search.widest, particles)
     misfit = misfit[lone] / search.common_light()[lone] ** 2
     lone = lone[misfit <= np.median(misfit)]
-    for _ in range(_WIDTH_STEPS):
+    for _ in range(_STEPS):
         unknowns = 4 * SHAPES
         matrices, right = np.zeros((cameras, unknowns, unknowns)), np.zeros((cameras, unknowns))
         add_shape_misses(model, search.room, particles, lone, matrices, right)
@@ -142,7 +141,7 @@ def align_cameras(search: ParticleSearch) -> None:
     """
     if len(search.position) < _FEW:
         return
-    for _ in range(_ALIGNMENTS):
+    for _ in range(_STEPS):
         sums = camera_misses(search.model(), search.widest, search.particles())
         xx, xy, yy, x, y = sums.T
         matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
@@ -206,7 +205,7 @@ def _find_lone(search: ParticleSearch) -> I64:
     if len(position) < _FEW:
         return np.zeros(0, dtype=np.int64)
     pixels = np.stack([project_points(maps, camera, position) for camera in range(len(sigma))])
-    border = (_BORDER * sigma.max(axis=1))[:, None, None]
+    border = (_OVERLAP * sigma.max(axis=1))[:, None, None]
     last = np.array(search.images.shape[:0:-1]) - 1.0
     inside = ((pixels > border) & (pixels < last - border)).all(axis=(0, 2))
     reach = _OVERLAP * sigma.max(axis=1)
@@ -218,7 +217,7 @@ def _find_lone(search: ParticleSearch) -> I64:
 
     share_rows(add, len(position))
     least = np.sort(np.where(inside, overlap, np.inf))
-    rank = min(max(_LEAST_ALONE, int(_ALONE * len(overlap))), len(overlap) - 1)
+    rank = min(max(_FEW, int(_ALONE * len(overlap))), len(overlap) - 1)
     most = max(least[rank], _HARDLY * len(sigma))
     return np.flatnonzero(inside & (overlap <= most))
 

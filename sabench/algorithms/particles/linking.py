@@ -21,7 +21,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
 
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, FROM_MAD, I64, Bool
 
 # largest cost of a link, and cost of none: four normal errors have a larger square sum once in 2000
 # times
@@ -29,8 +29,8 @@ GATE = 20.0
 # farthest displacement of a trajectory of unknown velocity, in distances between neighbours
 NEIGHBOUR_REACH = 3.0
 # largest difference of related neighbours' displacements, in the same unit
-_ALIKE = 0.4
-_NEIGHBOURS = 8
+ALIKE = 0.4
+NEIGHBOURS = 8  # whose displacements a trajectory is compared with
 # candidates of one trajectory: several times what is within the radius where bubbles are evenly
 # spread, and a bound where they are not
 _MOST = 100
@@ -210,18 +210,18 @@ def _by_neighbours(
     shift = points.position[column] - live.position[young[row]]
     duration = time - live.time[young[row]]
     velocity = shift / duration[:, None]
-    if len(live.position) - len(young) >= _NEIGHBOURS:
+    if len(live.position) - len(young) >= NEIGHBOURS:
         # the nearest trajectories of known velocity
         old = np.flatnonzero(~live.young)
-        _, near = cKDTree(live.position[old]).query(live.position[young[row]], _NEIGHBOURS)
+        _, near = cKDTree(live.position[old]).query(live.position[young[row]], NEIGHBOURS)
         apart = np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2)
         apart = apart * duration[:, None]
     else:
         apart = _position_errors(live, points, young[row], velocity, time, scale)
     length = np.linalg.norm(shift, axis=1)
     # where there are few neighbours, the others are taken to rest
-    resting = np.repeat(length[:, None], _NEIGHBOURS - apart.shape[1], axis=1)
-    apart = np.concatenate([apart, resting], axis=1) / (_ALIKE * scale.spacing)
+    resting = np.repeat(length[:, None], NEIGHBOURS - apart.shape[1], axis=1)
+    apart = np.concatenate([apart, resting], axis=1) / (ALIKE * scale.spacing)
     alone = np.minimum(apart**2, 1.0).mean(axis=1)
     return young[row], column, GATE * alone + (length / radii[row]) ** 2 + size
 
@@ -234,7 +234,7 @@ def _position_errors(
     Neighbours move by velocities (n, 3). The neighbours are those nearest to trajectories (n,), the
     detections of their size.
     """
-    count = min(_NEIGHBOURS, len(live.position) - 1)
+    count = min(NEIGHBOURS, len(live.position) - 1)
     if count <= 0 or not len(which):
         return np.zeros((len(which), 0))
     from sabench.utils.compiled import numba  # takes half a second, and only solvers link
@@ -243,10 +243,10 @@ def _position_errors(
     near = cKDTree(live.position).query(live.position, count + 1, workers=cores)[1][which, 1:]
     ahead = live.position[near] + velocity[:, None] * (time - live.time[near])[..., None]
     # three standard errors are as bad as no position
-    size = _ALIKE * scale.spacing / (3.0 * scale.size)
+    size = ALIKE * scale.spacing / (3.0 * scale.size)
     tree = cKDTree(np.column_stack([points.position, size * points.size]))
     moved = np.concatenate([ahead, size * live.size[near][..., None]], axis=2)
-    distance = tree.query(moved, distance_upper_bound=_ALIKE * scale.spacing, workers=cores)[0]
+    distance = tree.query(moved, distance_upper_bound=ALIKE * scale.spacing, workers=cores)[0]
     return np.asarray(distance)
 
 
@@ -278,6 +278,6 @@ def _estimate_scale(scale: _Scale, linked: _Trajectories, points: _Points, j: I6
     ahead = tracks.position + tracks.velocity * (points.time[j] - tracks.time)[:, None]
     off = (ahead - points.position[j]) / (points.frame[j] - tracks.frame)[:, None]
     low, high = (bound * scale.spacing for bound in _POSITION_ERROR)
-    position = np.clip(1.4826 * np.median(np.abs(off), axis=0), low, high)
-    size = np.clip(1.4826 * np.median(np.abs(tracks.size - points.size[j])), *_SIZE_ERROR)
+    position = np.clip(FROM_MAD * np.median(np.abs(off), axis=0), low, high)
+    size = np.clip(FROM_MAD * np.median(np.abs(tracks.size - points.size[j])), *_SIZE_ERROR)
     return replace(scale, position=position, size=float(size))

@@ -33,13 +33,13 @@ from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.threads import Deadline
 
-_MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
+MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
 _MOST_BY_CHANCE = 5.0  # sets of particle images with each one: beyond, nearly all are ghosts
 _NEAR = 64  # particle images looked at around one position
 _ROOM = 50  # sets of each of the first camera's images that have memory
 _STEPS = 2  # of the least-squares fit of a position
 _BATCH = 64  # of the first camera's images between two looks at the clock
-_SEARCHED = 1.5  # times the reach: search radius of images
+SEARCHED = 1.5  # times the reach: search radius of images
 
 
 class PeakParameters(Parameters):
@@ -116,7 +116,7 @@ def fit_cameras(case: Observation) -> VolumePolynomials:
     """Fit the cameras by polynomials over the grid and a margin."""
     low, voxel = np.asarray(case.grid.low_mm), np.asarray(case.grid.voxel_mm)
     high = low + voxel * (np.asarray(case.grid.shape[::-1]) - 1)
-    return fit_volume_polynomials(case.cameras, low - _MARGIN * voxel, high + _MARGIN * voxel)
+    return fit_volume_polynomials(case.cameras, low - MARGIN * voxel, high + MARGIN * voxel)
 
 
 def triangulate_particles(
@@ -251,7 +251,7 @@ def count_by_chance(
     """
     steps = follow_lines(maps, range(1, 2), reach_px)[1]
     density = np.array([len(camera_peaks.pixels) / pixels for camera_peaks in peaks[1:]])
-    near = _SEARCHED * reach_px
+    near = SEARCHED * reach_px
     line = density[0] * 2.0 * near * steps * reach_px
     return float(line * np.prod(1.0 - np.exp(-density[1:] * np.pi * near**2)))
 
@@ -300,7 +300,7 @@ def _follow(
                 position[:] = 0.0
                 continue
             project_point(maps, 1, position, here, slope)
-            for k in range(find_near(peaks[1], here, _SEARCHED * radius, near)):
+            for k in range(find_near(peaks[1], here, SEARCHED * radius, near)):
                 if left == len(tried) or count == len(positions) or _has(tried, left, near[k]):
                     continue
                 tried[left] = near[k]
@@ -353,7 +353,7 @@ def _others(maps: Any, peaks: Any, chosen: Any, position: Any, radius: float, co
     here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64)
     for c in range(2, len(peaks)):
         project_point(maps, c, position, here, slope)
-        nearest = radius * _SEARCHED
+        nearest = radius * SEARCHED
         for k in range(find_near(peaks[c], here, nearest, near)):
             apart = np.hypot(
                 peaks[c].pixels[near[k], 0] - here[0], peaks[c].pixels[near[k], 1] - here[1]

@@ -20,19 +20,18 @@ import cv2
 import numpy as np
 
 from sabench.algorithms.particles.all_particles import light_gains, paint_particles
-from sabench.algorithms.particles.candidate_search import shared_views
+from sabench.algorithms.particles.candidate_search import FEWEST, shared_views
 from sabench.algorithms.particles.image_model import without_margins
 from sabench.algorithms.particles.joint_fit import scatter_between
 from sabench.algorithms.particles.particle_search import MOST_TILT, ParticleSearch
 from sabench.images.background import ClearImages
 from sabench.images.flaws import Flaws
-from sabench.utils.arrays import F32, F64, Bool
+from sabench.utils.arrays import F32, F64, FROM_MAD, Bool
 
 # Hidden areas:
 _LEAST = 0.02  # of the pixels that show the volume: less is chance
 _DOUBTFUL = 0.8  # of the light expected in an area: less may be hidden, or ghosts are expected
 _HIDDEN = 0.5  # the same, of particles that are found without the area
-_FEWEST = 3  # cameras without a hidden area, that show a particle, or that agree with others
 _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of the light that is expected there
 _THIN = 0.75  # of the mean number of particles in a window: too few to decide
@@ -75,7 +74,7 @@ def keep_hidden(search: ParticleSearch, dark: Bool) -> Bool:
     are left: then nothing was lit, or a frame is missing.
     """
     hidden = _seen_shares(search, dark) < _HIDDEN
-    few = search.shown.sum() - hidden.sum() < _FEWEST
+    few = search.shown.sum() - hidden.sum() < FEWEST
     return np.zeros_like(dark) if few else dark & hidden[:, None, None]
 
 
@@ -156,7 +155,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
     hidden: dict[_Cameras, int] = {(): 1}  # how many particles sets of cameras hide
     number = len(search.typical)
     cameras = np.arange(number)
-    most = min((number + 1) // 3, number - _FEWEST, _DEEPEST)
+    most = min((number + 1) // 3, number - FEWEST, _DEEPEST)
     for _ in range(most):
         before, hidden = hidden, {}
         for blind in _promising(number, before):
@@ -232,7 +231,7 @@ def without_wrong_cameras(
     now: ParticleSearch | None = search
     while now is not None and not explains(now):
         left, worst = left_of_images(now), _worst(now)
-        if now.shown.sum() <= _FEWEST or left.max() < _WORST * np.median(left):
+        if now.shown.sum() <= FEWEST or left.max() < _WORST * np.median(left):
             now = None
         else:
             wrong[worst] = True
@@ -290,13 +289,13 @@ def left_of_images(search: ParticleSearch) -> F64:
         lights = [image[valid] for image, valid in zip(search.images, search.known, strict=True)]
         away = [light - np.median(light) for light in lights]
         return np.array(
-            [float((off > 1.4826 * _CLEAR * np.median(np.abs(off))).any()) for off in away]
+            [float((off > FROM_MAD * _CLEAR * np.median(np.abs(off))).any()) for off in away]
         )
     shares = _left_where(search, search.known)
     if shares.max() < _LITTLE:
         return shares
     shape = search.images.shape[1:]
-    return _left_where(search, search.known & shared_views(search.maps, shape, _FEWEST))
+    return _left_where(search, search.known & shared_views(search.maps, shape, FEWEST))
 
 
 def _left_where(search: ParticleSearch, counts: Bool) -> F64:

@@ -1,12 +1,17 @@
 """Rules of the ablation, and how they are changed."""
 
+import argparse
+import json
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from benchmarks import ablation, ablation_cases
 from benchmarks.ablation import verdict, worth
-from benchmarks.ablation_rules import OFF, ROOT, STRUCTURE, rules_of
+from benchmarks.ablation_rules import OFF, ROOT, STRUCTURE, Rule, rules_of
 from sabench.images import widths
 
 ROOMS = ("images", "algorithms/particles")
@@ -66,3 +71,32 @@ def test_a_case_that_is_worse_keeps_a_rule_and_a_particle_more_or_less_does_not(
     for figures, expected in judged.items():
         assert verdict(table(*figures), "rule") == expected
     assert worth(table(0.98, 0.2), "rule", "off")["a"].rms == pytest.approx(2.0)
+
+
+def test_a_screening_ends_with_the_first_case_that_is_worse(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The fastest case comes first; a record is not measured again."""
+    asked: list[tuple[str, str]] = []
+    changed = {"doubled": "2", "halved": "1"}
+    rule = Rule("images.a", "_B", "_B = 1", changed, set(), {"images.a.f"})
+
+    def run(
+        room: str, rule: Rule | None, variant: str, cases: list[str], seed: int
+    ) -> Iterator[dict[str, object]]:
+        for case in cases:
+            asked.append((variant, case))
+            lost = 0.1 if (variant, case) == ("halved", "fast") else 0.0
+            seconds = {"fast": 1.0, "slow": 2.0}[case]
+            figures = {"f1": 1.0 - lost, "rms_px": 0.1, "true": 200.0, "cpu_s": seconds}
+            yield {"case": case, "seed": seed, "entered": ["images.a.f"]} | figures
+
+    monkeypatch.setattr(ablation, "run_variant", run)
+    monkeypatch.setattr(ablation, "rules_of", lambda room: [rule])
+    monkeypatch.setattr(ablation_cases, "FOLDER", tmp_path)
+    record = tmp_path / "record.json"
+    options = argparse.Namespace(rules=[], seeds=[1], jobs=1, record=record)
+    for _ in range(2):
+        ablation.measure(options, "images", ["slow", "fast"])
+        assert asked[2:] == [("doubled", "fast"), ("doubled", "slow"), ("halved", "fast")]
+    assert verdict(json.loads(record.read_text())["images"]["rules"], rule.key) == "keep"
