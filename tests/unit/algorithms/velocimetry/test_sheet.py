@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sabench.algorithms.velocimetry import find_sheet, light_in_sheet
+from sabench.algorithms.velocimetry import find_sheet, light_in_sheet, sheet
 from sabench.algorithms.velocimetry.windows import Windows, by_shifts
 from sabench.api import Camera, Grid, ImagePair, Velocity
 from sabench.api.make import make_algorithm
@@ -162,3 +162,11 @@ def test_a_grid_of_one_plane_is_the_sheet_however_thick(camera: Camera) -> None:
     sheet = find_sheet((camera,), thick)
     assert sheet.axes[2].tolist() == [0.0, 0.0, 1.0]
     assert sheet.depth_mm == 10.0
+
+
+def test_points_on_a_face_are_in_the_box() -> None:
+    """A plane may coincide with a face; rounding puts its points on either side."""
+    grid = Grid((0.1, -0.3, 7.7), (0.3, 0.3, 0.1), (5, 6, 7))
+    low, high = grid.box_mm
+    assert sheet._in_box(grid, np.array([low, high, low - 1e-10, high + 1e-10])).all()
+    assert not sheet._in_box(grid, np.array([low - 1e-6, high + 1e-6])).any()
