@@ -30,9 +30,10 @@ def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
     cells = np.stack([cell for cell, _, _ in grids])
     columns = np.array([width for _, width, _ in grids])
     rows = np.array([height for _, _, height in grids])
-    starts = np.zeros((len(cells), int((columns * rows).max()) + 1), dtype=np.int64)
-    order = np.zeros(cells.shape, dtype=np.int64)
-    _sort(cells, starts, order)
+    # those without an image first; then where each cell's particles start
+    order = np.argsort(cells, axis=1, kind="stable")
+    every = np.arange(int((columns * rows).max()) + 1)
+    starts = np.stack([np.searchsorted(c[o], every) for c, o in zip(cells, order, strict=True)])
     grid = cells, columns, rows, starts, order
     parts = share_rows(lambda part: _gather(part.start, part.stop, pixels, reach, *grid), count)
     first = np.concatenate([[0], *(counts for counts, _ in parts)])
@@ -56,23 +57,6 @@ def _grid(pixels: F64, reach: float) -> tuple[I64, int, int]:
     cell = np.full(len(pixels), -1)
     cell[finite] = row * width + column
     return cell, int(width), int(height)
-
-
-@numba.njit(cache=True)
-def _sort(cells: Any, starts: Any, order: Any) -> None:
-    """Fill in where each cell's images start, and the particles in this order."""
-    for c in range(len(cells)):
-        for cell in cells[c]:
-            if cell >= 0:
-                starts[c, cell + 1] += 1
-        for k in range(starts.shape[1] - 1):
-            starts[c, k + 1] += starts[c, k]
-        at = starts[c].copy()
-        for n in range(cells.shape[1]):
-            cell = cells[c, n]
-            if cell >= 0:
-                order[c, at[cell]] = n
-                at[cell] += 1
 
 
 @numba.njit(cache=True, nogil=True)

@@ -19,6 +19,7 @@ _CLEAR = 10.0  # standard deviations of noise: brighter pixels are judged by the
 _LONE = 0.3
 _BESIDE = 5.0  # standard deviations of noise: light next to a peak that is hardly noise
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.uint8)
+_EARLIER = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], dtype=np.uint8)
 _SHARP = 1.0  # the same of usual peaks, where images are 0.35 px wide or less
 
 
@@ -48,7 +49,7 @@ def find_peaks(image: F32, least: float | F32) -> Peaks:
     ----------
     least : one value, or one for each pixel.
     """
-    row, column = maxima(np.ascontiguousarray(image), np.float32(np.min(least)))
+    row, column = maxima(image, float(np.min(least)))
     high = image[row, column] >= np.broadcast_to(np.float32(least), image.shape)[row, column]
     row, column = row[high], column[high]
     height = np.log(np.maximum(image, np.float32(1e-6 + 0.01 * np.maximum(least, 0.0))))
@@ -65,28 +66,16 @@ def keep_peaks(peaks: Peaks, numbers: I64) -> Peaks:
     return Peaks(np.ascontiguousarray(peaks.pixels[numbers]), starts, peaks.columns, peaks.rows)
 
 
-@numba.njit(cache=True)
-def maxima(light: Any, least: Any) -> Any:
-    """Find inner pixels (rows, columns) of `least` or more that no neighbour exceeds."""
-    rows, columns = light.shape
-    pixels = []
-    for r in range(1, rows - 1):
-        for c in range(1, columns - 1):
-            value = light[r, c]
-            if value < least:
-                continue
-            top = True
-            for i in range(-1, 2):
-                for j in range(-1, 2):
-                    other = light[r + i, c + j]
-                    if other > value or (other == value and (i < 0 or (i == 0 and j < 0))):
-                        top = False
-            if top:
-                pixels.append((r, c))
-    out = np.empty((2, len(pixels)), dtype=np.int64)
-    for n in range(len(pixels)):
-        out[0, n], out[1, n] = pixels[n]
-    return out
+def maxima(light: F32, least: float) -> I64:
+    """Find rows and columns (2, n) of inner pixels of `least` or more that no neighbour exceeds.
+
+    The first of equal ones counts.
+    """
+    import cv2  # takes long to load
+
+    before, behind = cv2.dilate(light, _EARLIER), cv2.dilate(light, _EARLIER[::-1, ::-1])
+    top = (light >= np.float32(least)) & (light > before) & (light >= behind)
+    return np.array(np.nonzero(top[1:-1, 1:-1])) + 1
 
 
 def _vertex(before: F32, here: F32, behind: F32) -> F64:
@@ -167,7 +156,7 @@ def find_lone_pixels(light: F32, noise: F32) -> Bool:
 
     around = cv2.boxFilter(light, -1, (3, 3), normalize=False) - light
     lone = (light > _CLEAR * noise) & (around < _LONE * light)
-    row, column = maxima(np.where(light > _CLEAR * noise, light, np.float32(0.0)), np.float32(0.0))
+    row, column = maxima(np.where(light > _CLEAR * noise, light, np.float32(0.0)), 0.0)
     shares = around[row, column] / light[row, column]
     beside = cv2.dilate(light, _NEIGHBOURS)[row, column] > _BESIDE * noise[row, column]
     others = shares[(shares >= _LONE) & beside]

@@ -5,15 +5,12 @@ those of particles' peaks. A dead pixel is darker than the light on all of its s
 is a bright area wider than any particle's image.
 """
 
-from typing import Any
-
 import numpy as np
 
 from sabench.images.flaws import Flaws, Repaired
 from sabench.images.peaks import maxima
 from sabench.images.widths import LEAST_NOISE
-from sabench.utils.arrays import F32, FROM_MAD, U16, Bool
-from sabench.utils.compiled import numba
+from sabench.utils.arrays import F32, FROM_MAD, I64, U16, Bool
 
 _WINDOW = 9  # px: edge of the square whose darkest part is the background
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
@@ -26,6 +23,7 @@ _WIDE = 7  # px: edge of a square that no particle fills with light
 _BRIGHT, _SKIRT = 4.0, 0.5  # of a typical peak: a reflection, and the light around it
 _GLARE = 10.0  # of a typical peak: brighter than particles are
 _REACH = 3  # px around it
+_BESIDE = np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])  # rows and columns of neighbours
 
 
 def repair(images: U16, black_dn: float, white_dn: float) -> Repaired:
@@ -40,10 +38,7 @@ def repair(images: U16, black_dn: float, white_dn: float) -> Repaired:
     out, flaws = images, Flaws.none(images.shape)
     for number, (grey, points, covered) in enumerate(zip(images, *flaws, strict=True)):
         points[:] = find_points(grey, black_dn)
-        good = grey
-        if points.any():
-            good = grey.copy()
-            _fill(grey, points, good)
+        good = _fill(grey, points) if points.any() else grey
         covered[:] = find_reflections(good, white_dn)
         if points.any() or covered.any():
             out = images.copy() if out is images else out
@@ -70,7 +65,7 @@ def peak_light(light: F32, noise: float) -> float:
 
     Peaks are those clear of noise; 0 without any. A few peaks of any height hardly change it.
     """
-    row, column = maxima(light, np.float32(_CLEAR * noise))
+    row, column = maxima(light, _CLEAR * noise)
     heights = light[row, column]
     return float(np.quantile(heights, 0.75)) if len(heights) else 0.0
 
@@ -81,17 +76,17 @@ def find_points(grey: U16, black_dn: float) -> Bool:
 
     light, noise = above_background(grey)
     points = np.zeros(light.shape, dtype=np.bool_)
-    row, column = maxima(light, np.float32(_CLEAR * noise))
+    row, column = maxima(light, _CLEAR * noise)
     if len(row):
         # light beside typical peaks, which must be particles', over theirs: 0.2 for Gaussians of
         # 0.5 px, 0.45 for those of 0.75 px
-        ratios = np.empty(len(row))
-        _measure_ratios(light, row, column, ratios)
+        sides = _dim_sides(light)
+        ratios = sides[row, column] / light[row, column]
         sharpness = max(float(np.quantile(ratios, 0.6)), 0.0)
         least = max(_CLEAR * noise, _FAINT * float(np.median(light[row, column])))
         margin, hole = _MARGIN * noise, min(_DARK, _HOLE * sharpness)
         if sharpness > _SHARPEST:
-            _mark_hot(light, least, _NARROW * sharpness, margin, points)
+            points = _find_hot(light, least, sides, _NARROW * sharpness, margin)
         # dead ones: light above black too dark for that on all of their sides
         above = grey.astype(np.float32) - np.float32(black_dn)
         wide = cv2.copyMakeBorder(np.maximum(above, 0.0), 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
@@ -125,54 +120,46 @@ def find_reflections(grey: U16, white_dn: float) -> Bool:
     return covered.astype(np.bool_)
 
 
-@numba.njit(cache=True)
-def _dim_side(light: Any, r: int, c: int) -> Any:
-    """Average the three darkest of a pixel's four neighbours, around the border.
+def _dim_sides(light: F32) -> F32:
+    """Average the three darkest of each pixel's four neighbours, mirrored at the border.
 
     Two hot pixels may touch.
     """
-    rows, columns = light.shape
-    left, right = c - 1 if c > 0 else c + 1, c + 1 if c < columns - 1 else c - 1
-    above, below = r - 1 if r > 0 else r + 1, r + 1 if r < rows - 1 else r - 1
-    a, b, c, d = light[r, left], light[r, right], light[above, c], light[below, c]
-    return (a + b + c + d - max(max(a, b), max(c, d))) / 3.0
+    import cv2
+
+    wide = cv2.copyMakeBorder(light, 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
+    across, down = (wide[1:-1, :-2], wide[1:-1, 2:]), (wide[:-2, 1:-1], wide[2:, 1:-1])
+    brightest = np.maximum(np.maximum(*across), np.maximum(*down))
+    return np.asarray((sum(across) + sum(down) - brightest) / np.float32(3.0))
 
 
-@numba.njit(cache=True)
-def _measure_ratios(light: Any, row: Any, column: Any, ratios: Any) -> None:
-    for n in range(len(row)):
-        ratios[n] = _dim_side(light, row[n], column[n]) / light[row[n], column[n]]
+def _neighbours(row: I64, column: I64, shape: tuple[int, ...]) -> tuple[I64, I64, Bool]:
+    """Return rows and columns (4, n) of pixels' neighbours, and whether they are in the image."""
+    rows, columns = row + _BESIDE[:, :1], column + _BESIDE[:, 1:]
+    inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
 
 
-@numba.njit(cache=True)
-def _mark_hot(light: Any, least: float, narrow: float, margin: float, points: Any) -> None:
+def _find_hot(light: F32, least: float, sides: F32, narrow: float, margin: float) -> Bool:
     """Mark pixels too bright for their neighbours, alone or with the brightest one."""
-    rows, columns = light.shape
-    for r in range(rows):
-        for c in range(columns):
-            here = light[r, c]
-            if here <= least or not _dim_side(light, r, c) + margin < narrow * here:
-                continue
-            y, x, most = r, c, -np.inf  # the brightest of the four neighbours
-            for i, j in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
-                if 0 <= i < rows and 0 <= j < columns and light[i, j] > most:
-                    y, x, most = i, j, light[i, j]
-            narrower = _dim_side(light, y, x) + margin < narrow * light[y, x]
-            points[r, c] = most <= max(here, least) or narrower
+    narrower = sides + margin < narrow * light
+    row, column = np.nonzero((light > least) & narrower)
+    rows, columns, inside = _neighbours(row, column, light.shape)
+    beside = np.where(inside, light[rows, columns], -np.inf)
+    first = beside.argmax(axis=0), np.arange(len(row))
+    alone = beside[first] <= np.maximum(light[row, column], least)
+    hot = np.zeros(light.shape, dtype=np.bool_)
+    hot[row, column] = alone | narrower[rows[first], columns[first]]
+    return hot
 
 
-@numba.njit(cache=True)
-def _fill(grey: Any, points: Any, good: Any) -> None:
+def _fill(grey: U16, points: Bool) -> U16:
     """Replace marked pixels by the mean of their neighbours that are not marked."""
-    rows, columns = grey.shape
-    for r in range(rows):
-        for c in range(columns):
-            if not points[r, c]:
-                continue
-            total, count = 0.0, 0
-            for i, j in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                y, x = r + i, c + j
-                if 0 <= y < rows and 0 <= x < columns and not points[y, x]:
-                    total, count = total + grey[y, x], count + 1
-            if count:
-                good[r, c] = np.rint(total / count)
+    row, column = np.nonzero(points)
+    rows, columns, inside = _neighbours(row, column, grey.shape)
+    good = inside & ~points[rows, columns]
+    count = good.sum(axis=0)
+    mean = np.where(good, grey[rows, columns], 0).sum(axis=0) / np.maximum(count, 1)
+    out = grey.copy()
+    out[row, column] = np.where(count > 0, np.rint(mean), grey[row, column])
+    return out
