@@ -136,6 +136,14 @@ def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
     return _leave_out_bright(images, counts, step, calm) if dense is None else dense
 
 
+def noise_cut_by_black(grey: U16, valid: Bool, black_dn: float) -> float:
+    """Measure the noise of an image (row, column) if black cuts it; 0 if it shows below black."""
+    least = grey[valid].min() if valid.any() else 0
+    if least < black_dn or np.mean(grey[valid] == least) <= _CUT:
+        return 0.0
+    return float(np.median(measure_dark_noise(grey[None], valid).noise))
+
+
 def _measure_calm(images: U16, counts: Bool, around: F32, step: float, share: float) -> DarkNoise:
     edge = _TILE_PX * (_CALM / share) ** 0.5
     calm = counts.copy()

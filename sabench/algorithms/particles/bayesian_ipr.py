@@ -52,6 +52,7 @@ from sabench.algorithms.particles.particle_search import ParticleSearch, joined,
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.background import ClearImages, clear_images
+from sabench.images.dark_noise import noise_cut_by_black
 from sabench.images.widths import measure_images
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.threads import Deadline
@@ -105,10 +106,15 @@ def reconstruct_most_probable(
 
 
 def dark_images(case: Observation) -> ClearImages:
-    """Return repaired images less background, flaws, and saturated pixels."""
+    """Return repaired images less background, flaws, saturated pixels, and noise."""
     good = case.repaired
     light = good.images.astype(np.float32) - np.float32(case.black_dn)
-    return ClearImages(*clear_images(light, good.flaws), good.images >= case.white_dn)
+    cut = [
+        noise_cut_by_black(grey, ~unknown, case.black_dn)
+        for grey, unknown in zip(good.images, good.flaws.unknown, strict=True)
+    ]
+    cleared = clear_images(light, good.flaws)
+    return ClearImages(*cleared, good.images >= case.white_dn, np.array(cut))
 
 
 class Known(NamedTuple):

@@ -13,7 +13,7 @@ from benchmarks.false_alarms import (
     hot_pixels,
     normal,
 )
-from sabench.images.dark_noise import measure_dark_noise
+from sabench.images.dark_noise import measure_dark_noise, noise_cut_by_black
 from sabench.images.gaussians import gaussian_shares
 from sabench.images.peaks import detect_particle_peaks
 from sabench.utils.arrays import F64, U16
@@ -115,6 +115,15 @@ def test_dim_particles_are_no_noise_where_black_cuts_it(below: float) -> None:
     found = measure_dark_noise(image[None])
     assert abs(np.median(found.level) + below) < 0.8
     assert 1.3 < np.median(found.noise) < 2.4
+
+
+@pytest.mark.parametrize("below", [0.0, 1.5])
+def test_noise_that_black_cuts_is_measured_and_no_other(below: float) -> None:
+    dark = normal(np.random.default_rng(18), -below, 1.5) + 30.0 * particles(2000)[1]
+    everywhere = np.ones(dark.shape, dtype=np.bool_)
+    assert 1.3 < noise_cut_by_black(grey(dark, 8), everywhere, 0.0) < 2.0
+    assert noise_cut_by_black(grey(dark + 64.0, 8), everywhere, 64.0) == 0.0  # shows below black
+    assert noise_cut_by_black(grey(dark + 64.0, 8), everywhere, 0.0) == 0.0  # not subtracted
 
 
 def test_forty_particles_of_a_recording_cut_at_black_are_forty_peaks() -> None:
