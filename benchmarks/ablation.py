@@ -11,9 +11,10 @@ it, on the cases that enter a function which uses the rule; where a kernel does,
 callers are compiled anew. Variants run in turn until one matters; with one seed, a variant ends
 with the first case that it makes worse, the fastest cases first.
 
-A record holds, of each rule, variant, case and seed, the figures of the case. They are not measured
-again while the code of the room is the same, nor are rules that were judged. The last column of
-the table is the verdict: *keep* where a variant makes some case worse by more than `LOSS` of F1 and
+A record holds, of each rule, variant, case and seed, the figures of the case, and of each code of
+the room that rules were judged with, the figures without a change. A rule that was judged is
+measured again when its own text has changed, or if it is named by `--rules`. The last column of the
+table is the verdict: *keep* where a variant makes some case worse by more than `LOSS` of F1 and
 a particle and a half, or by `WORSE_RMS`; *weigh* where another case gets better by as much; *turn*
 where cases only get better; *go* where nothing matters, and *no case* where none uses the rule.
 """
@@ -138,39 +139,51 @@ def code_of(room: str) -> str:
 def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[str, Any]:
     """Measure what the record does not hold, and write it after each variant."""
     record = json.loads(options.record.read_text()) if options.record.exists() else {}
-    if record.get(room, {}).get("code") != code_of(room):
-        record[room] = {"code": code_of(room), "rules": {}}
-    table = record[room]["rules"]
+    own = record.setdefault(room, {"as it is": {}, "rules": {}})
+    code, table = code_of(room), own["rules"]
+    base = own["as it is"].setdefault(code, [])
     screened = len(options.seeds) == 1
     chosen = [
         rule
         for rule in rules_of(room)
         if not options.rules or any(text in rule.key for text in options.rules)
     ]
+    for rule in chosen:
+        old = table.get(rule.key, {})
+        matters = verdict(own, rule.key) not in ("go", _OPEN)
+        whole = matters or old.get("variants", {}).keys() >= rule.variants.keys()
+        judged = screened and whole and old["text"] == rule.text
+        if old.get("code") != code and (options.rules or not judged):
+            table[rule.key] = {"text": rule.text, "code": code, "variants": {}}
 
-    def work(rule: Rule | None) -> None:
+    def work(rule: Rule) -> None:
         """Run variants, until one matters."""
-        entry = table[rule.key if rule else ""]
-        for variant in rule.variants if rule else ["as it is"]:
-            if rule and screened and verdict(table, rule.key) not in ("go", "no case"):
+        entry = table[rule.key]
+        if entry["code"] != code:
+            return
+        for variant in rule.variants:
+            if screened and verdict(own, rule.key) not in ("go", _OPEN):
                 break
             rows = entry["variants"].setdefault(variant, [])
-            known = {(row["case"], row["seed"]) for row in rows}
-            for seed in options.seeds:
-                todo = [
-                    case
-                    for case in sorted(cases, key=lambda case: (seconds.get(case, 0.0), case))
-                    if (case, seed) not in known and (not rule or rule.users & entered[case])
-                ]
-                for row in run_variant(room, rule, variant, todo, seed) if todo else ():
-                    entered[row["case"]].update(row.pop("entered", ()))
-                    rows.append(_rounded(row))
-                    if rule and screened and worth(table, rule.key, variant)[row["case"]].worse:
-                        break
-            if rule:
-                print(f"{rule.key} {variant}: {_moved(table, rule.key, variant)}", flush=True)
+            fill(rule, variant, rows)
+            print(f"{rule.key} {variant}: {_moved(own, rule.key, variant)}", flush=True)
             with lock:
                 options.record.write_text(_written(record))
+
+    def fill(rule: Rule | None, variant: str, rows: list[dict[str, Any]]) -> None:
+        """Add the rows that are missing."""
+        known = {(row["case"], row["seed"]) for row in rows}
+        for seed in options.seeds:
+            todo = [
+                case
+                for case in sorted(cases, key=lambda case: (seconds.get(case, 0.0), case))
+                if (case, seed) not in known and (not rule or rule.users & entered[case])
+            ]
+            for row in run_variant(room, rule, variant, todo, seed) if todo else ():
+                entered[row["case"]].update(row.pop("entered", ()))
+                rows.append(_rounded(row))
+                if rule and screened and worth(own, rule.key, variant)[row["case"]].worse:
+                    break
 
     from benchmarks.ablation_cases import FOLDER
 
@@ -181,14 +194,14 @@ def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[st
         for case, functions in json.loads(names.read_text()).items():
             entered[case] = set(functions)
     else:
-        table.pop("", None)  # they are traced with the rules as they are
+        base.clear()  # they are traced with the rules as they are
     seconds: dict[str, float] = {}
-    table.setdefault("", {"variants": {}})
-    for rule in chosen:
-        table.setdefault(rule.key, {"variants": {}, "text": rule.text})
-    work(None)
-    for row in table[""]["variants"]["as it is"]:
+    fill(None, "", base)
+    for row in base:
         seconds[row["case"]] = row["cpu_s"]
+    used = {entry["code"] for entry in table.values()} | {code}
+    own["as it is"] = {of: rows for of, rows in own["as it is"].items() if of in used}
+    options.record.write_text(_written(record))
     names.write_text(json.dumps({case: sorted(each) for case, each in entered.items()}))
     with ThreadPoolExecutor(options.jobs) as pool:
         list(pool.map(work, chosen))
@@ -208,12 +221,14 @@ def _rounded(row: dict[str, Any]) -> dict[str, Any]:
 def _written(record: dict[str, Any]) -> str:
     """Write a record with a line for each rule."""
     rooms = []
-    for room, of in sorted(record.items()):
-        lines = [
-            f"{json.dumps(key)}: {json.dumps(of['rules'][key])}" for key in sorted(of["rules"])
+    for room, own in sorted(record.items()):
+        parts = [
+            f"{json.dumps(part)}: {{\n"
+            + ",\n".join(f"{json.dumps(key)}: {json.dumps(of[key])}" for key in sorted(of))
+            + "}"
+            for part, of in sorted(own.items())
         ]
-        head = f'{json.dumps(room)}: {{"code": {json.dumps(of["code"])}, "rules": {{\n'
-        rooms.append(head + ",\n".join(lines) + "\n}}")
+        rooms.append(f"{json.dumps(room)}: {{" + ",\n".join(parts) + "}")
     return "{" + ",\n".join(rooms) + "}\n"
 
 
@@ -243,11 +258,12 @@ class Worth:
         return self.lost < -self.least or (self.rms < 1.0 / WORSE_RMS and self.lost < self.least)
 
 
-def worth(table: dict[str, Any], key: str, variant: str) -> dict[str, Worth]:
-    """Compare a variant with the rule as it is, case by case."""
-    plain = {(row["case"], row["seed"]): row for row in table[""]["variants"]["as it is"]}
+def worth(own: dict[str, Any], key: str, variant: str) -> dict[str, Worth]:
+    """Compare a variant with the rule as it is, case by case, given a room's record."""
+    entry = own["rules"][key]
+    plain = {(row["case"], row["seed"]): row for row in own["as it is"][entry["code"]]}
     losses = defaultdict(list)
-    for row in table[key]["variants"].get(variant, []):
+    for row in entry["variants"].get(variant, []):
         base = plain.get((row["case"], row["seed"]))
         if base:
             shown = "rms_px" in row and "rms_px" in base
@@ -260,22 +276,24 @@ def worth(table: dict[str, Any], key: str, variant: str) -> dict[str, Worth]:
     }
 
 
-def _moved(table: dict[str, Any], key: str, variant: str) -> str:
+def _moved(own: dict[str, Any], key: str, variant: str) -> str:
     told = [
         f"{case} {-one.lost:+.3f}, rms x {one.rms:.2f}"
-        for case, one in worth(table, key, variant).items()
+        for case, one in worth(own, key, variant).items()
         if one.worse or one.better
     ]
     return "; ".join(told) or "nothing"
 
 
-def verdict(table: dict[str, Any], key: str) -> str:
+def verdict(own: dict[str, Any], key: str) -> str:
     """Judge a rule: keep (some case is worse without), weigh (others better), turn, or go."""
     every = [
-        one for variant in table[key]["variants"] for one in worth(table, key, variant).values()
+        one
+        for variant in own["rules"].get(key, {"variants": {}})["variants"]
+        for one in worth(own, key, variant).values()
     ]
     if not every:
-        return "no case"
+        return _OPEN
     lost, gained = any(one.worse for one in every), any(one.better for one in every)
     return ("weigh" if gained else "keep") if lost else "turn" if gained else "go"
 
@@ -283,20 +301,20 @@ def verdict(table: dict[str, Any], key: str) -> str:
 def table_of(record: dict[str, Any], room: str) -> str:
     """Write a Markdown table of the rules of a room that were measured, worth last."""
     lines = ["| rule | as it is | what a change moves | verdict |", "|---|---|---|---|"]
-    table = record[room]["rules"]
-    keys = [key for key in table if key and table[key]["variants"]]
-    for key in sorted(keys, key=lambda key: (_ORDER.index(verdict(table, key)), key)):
-        text = " ".join(table[key]["text"].partition("=")[2].split())
-        told = "; ".join(
-            f"{variant}: {_moved(table, key, variant)}" for variant in table[key]["variants"]
-        )
+    own = record[room]
+    keys = [key for key, entry in own["rules"].items() if entry["variants"]]
+    for key in sorted(keys, key=lambda key: (_ORDER.index(verdict(own, key)), key)):
+        entry = own["rules"][key]
+        text = " ".join(entry["text"].partition("=")[2].split())
+        told = "; ".join(f"{variant}: {_moved(own, key, variant)}" for variant in entry["variants"])
         short = key.removeprefix(f"{room.replace('/', '.')}.")
         as_it_is = f"`{text}`" if text else "a branch"
-        lines.append(f"| `{short}` | {as_it_is} | {told} | {verdict(table, key)} |")
+        lines.append(f"| `{short}` | {as_it_is} | {told} | {verdict(own, key)} |")
     return "\n".join(lines)
 
 
-_ORDER = ("go", "turn", "weigh", "no case", "keep")
+_OPEN = "no case"
+_ORDER = ("go", "turn", "weigh", _OPEN, "keep")
 
 
 def main() -> None:

@@ -62,10 +62,8 @@ def test_a_case_that_is_worse_keeps_a_rule_and_a_particle_more_or_less_does_not(
     def table(f1: float, rms_px: float) -> dict[str, object]:
         base = {"case": "a", "seed": 1, "f1": 0.99, "rms_px": 0.1, "true": 200.0}
         changed = base | {"f1": f1, "rms_px": rms_px}
-        return {
-            "": {"variants": {"as it is": [base]}},
-            "rule": {"variants": {"off": [changed]}},
-        }
+        rule = {"code": "1", "variants": {"off": [changed]}}
+        return {"as it is": {"1": [base]}, "rules": {"rule": rule}}
 
     judged = {(0.98, 0.1): "keep", (1.0, 0.1): "turn", (0.985, 0.1): "go", (0.99, 0.12): "keep"}
     for figures, expected in judged.items():
@@ -99,4 +97,11 @@ def test_a_screening_ends_with_the_first_case_that_is_worse(
     for _ in range(2):
         ablation.measure(options, "images", ["slow", "fast"])
         assert asked[2:] == [("doubled", "fast"), ("doubled", "slow"), ("halved", "fast")]
-    assert verdict(json.loads(record.read_text())["images"]["rules"], rule.key) == "keep"
+    assert verdict(json.loads(record.read_text())["images"], rule.key) == "keep"
+    # with other code it stays as it was judged, until its own text changes or it is asked for
+    monkeypatch.setattr(ablation, "code_of", lambda room: "other")
+    ablation.measure(options, "images", ["slow", "fast"])
+    assert asked[5:] == [("", "fast"), ("", "slow")]
+    options.rules = ["_B"]
+    ablation.measure(options, "images", ["slow", "fast"])
+    assert len(asked) == 10
