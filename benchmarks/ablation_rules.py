@@ -37,7 +37,6 @@ STRUCTURE = {
 
 # a rule's value, or the body of a function, that switches it off
 OFF = {
-    "algorithms.particles.bayesian_ipr._NARROWER": "0.0",
     "algorithms.particles.bayesian_ipr._DARKEST": "(0.45,)",
     "algorithms.particles.bayesian_ipr._flatten": "pass",
     "algorithms.particles.bayesian_ipr.split_and_find": "return 0",

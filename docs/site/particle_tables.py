@@ -50,21 +50,6 @@ DENSITIES = {  # case, number of cameras: name in the record
     ("the realistic scene, 0.05 ppp", 9): "realistic",
     ("the standard suite's hard case, one frame", 4): "hard",
 }
-_ABLATED = ("equal 0.05", "equal 0.10", "equal 0.15", "own 0.05", "off 0.10")
-PARTS = {  # part taken out: name in the record
-    "nothing": "all parts",
-    "wider images while candidates share the light": "widening",
-    "slow removal of the darkest candidates": "levels",
-    "fits until all particles are settled": "settling",
-    "fits of neighbours at each trial of a ghost": "refits",
-    "particles tried as two": "splits",
-    "learned scatter of light: any is as probable": "light free",
-    "learned scatter of light: the same light in all cameras": "one light",
-    "shifts of the cameras": "alignment",
-    "widths that change over the volume": "widths",
-    "background, bright spots and hidden areas": "background",
-    "earnings of the best camera left out": "best camera",
-}
 _TRACKERS = ("shake_the_box", "openlpt", "optv")
 _CONVERGED = (10, 11)  # frames
 SEQUENCES = {  # case: name in the record
@@ -111,16 +96,6 @@ def density() -> str:
         for (words, cameras), name in DENSITIES.items()
     )
     return written([*head, *(f"`{peer}`" for peer in _PEERS)], rows)
-
-
-def ablation() -> str:
-    """Write the scores of `bayesian_ipr` without one part at a time."""
-    record = _read("particle-ablation")
-    rows = (
-        [words, *(scores(next(iter(record[case].get(part, ())), None), 3) for case in _ABLATED)]
-        for words, part in PARTS.items()
-    )
-    return written(["taken out", *_ABLATED], rows)
 
 
 def tracking() -> str:

@@ -138,6 +138,13 @@ def ghost_bias(part: str) -> str:
     )
 
 
+def rules(room: str) -> str:
+    """Write what each rule of a room is worth."""
+    from benchmarks.ablation import table_of
+
+    return table_of(_read("ablation"), room)
+
+
 def _read(name: str) -> Any:
     return json.loads((RECORDS / f"{name}.json").read_text(encoding="utf-8"))
 
@@ -145,7 +152,7 @@ def _read(name: str) -> Any:
 _TABLES: dict[str, Callable[..., str]] = {
     "scene": scene_reference.reference,
     "density": particle_tables.density,
-    "ablation": particle_tables.ablation,
+    "rules": rules,
     "tracking": particle_tables.tracking,
     "suite": suite,
     "pivot": pivot,

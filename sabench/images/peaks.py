@@ -67,9 +67,9 @@ def keep_peaks(peaks: Peaks, numbers: I64) -> Peaks:
 
 
 def maxima(light: F32, least: float) -> I64:
-    """Find rows and columns (2, n) of inner pixels of `least` or more that no neighbour exceeds.
+    """Find rows and columns (2, n) of inner pixels that no neighbour exceeds.
 
-    The first of equal ones counts.
+    They have `least` or more. The first of equal ones counts.
     """
     import cv2  # takes long to load
 

@@ -121,9 +121,9 @@ def find_reflections(grey: U16, white_dn: float) -> Bool:
 
 
 def _dim_sides(light: F32) -> F32:
-    """Average the three darkest of each pixel's four neighbours, mirrored at the border.
+    """Average the three darkest of each pixel's four neighbours.
 
-    Two hot pixels may touch.
+    Those beyond the border are mirrored. Two hot pixels may touch.
     """
     import cv2
 
@@ -134,7 +134,7 @@ def _dim_sides(light: F32) -> F32:
 
 
 def _neighbours(row: I64, column: I64, shape: tuple[int, ...]) -> tuple[I64, I64, Bool]:
-    """Return rows and columns (4, n) of pixels' neighbours, and whether they are in the image."""
+    """Return pixels' neighbours (4, n): rows, columns, and whether they are inside."""
     rows, columns = row + _BESIDE[:, :1], column + _BESIDE[:, 1:]
     inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
     return np.where(inside, rows, 0), np.where(inside, columns, 0), inside

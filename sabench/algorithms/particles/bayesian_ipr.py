@@ -58,9 +58,6 @@ from sabench.utils.arrays import F64, Bool
 from sabench.utils.threads import Deadline
 
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
-# where images overlap, they are narrower than measured by this share, until widths are learned:
-# wider ones take the light of neighbours that are not found yet
-_NARROWER = 0.05
 _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, over the median
 FLOORS = (0.2, 0.06)  # of candidates' mean light, over a typical particle's: first and last
 _STEPS = 3  # rounds from the first floor to the last
@@ -279,7 +276,7 @@ def _share_the_light(base: ParticleSearch, settings: BayesianIprSettings) -> Par
         search.keep(common >= level * np.median(common if len(common) else 1.0))
     search.saturated = base.saturated
     search.reset_covariance()
-    search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * base.sigma)
+    search.set_width(base.sigma)
     search.refine(settings.fits)
     search.images[:] = base.images
     search.subtract_all()

@@ -261,14 +261,6 @@ class ParticleSearch:
         """Compute the mean light (n,) over cameras, in a typical particle's."""
         return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
 
-    def overlap(self) -> float:
-        """Estimate how many images share a pixel.
-
-        The area of an image is 4 pi times its squared width.
-        """
-        area = 4.0 * math.pi * float(np.median(self.sigma.prod(axis=1)))
-        return float(self.number * area / self.images[0].size)
-
     def peaks(self, sigma: F64 | None = None) -> F64:
         """Compute the brightest pixel (camera,) of a typical particle, of given widths."""
         widths = self.sigma if sigma is None else sigma
