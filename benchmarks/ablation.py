@@ -139,73 +139,100 @@ def code_of(room: str) -> str:
 def measure(options: argparse.Namespace, room: str, cases: list[str]) -> dict[str, Any]:
     """Measure what the record does not hold, and write it after each variant."""
     record = json.loads(options.record.read_text()) if options.record.exists() else {}
-    own = record.setdefault(room, {"as it is": {}, "rules": {}})
-    code, table = code_of(room), own["rules"]
-    base = own["as it is"].setdefault(code, [])
-    screened = len(options.seeds) == 1
+    own, code = record.setdefault(room, {"as it is": {}, "rules": {}}), code_of(room)
     chosen = [
         rule
         for rule in rules_of(room)
         if not options.rules or any(text in rule.key for text in options.rules)
     ]
+    screened, table = len(options.seeds) == 1, own["rules"]
     for rule in chosen:
         old = table.get(rule.key, {})
-        matters = verdict(own, rule.key) not in ("go", _OPEN)
-        whole = matters or old.get("variants", {}).keys() >= rule.variants.keys()
-        judged = screened and whole and old["text"] == rule.text
-        if old.get("code") != code and (options.rules or not judged):
+        again = options.rules or not (screened and _judged(own, rule))
+        if old.get("code") != code and again:
             table[rule.key] = {"text": rule.text, "code": code, "variants": {}}
+    used = {entry["code"] for entry in table.values()} | {code}
+    own["as it is"] = {of: rows for of, rows in own["as it is"].items() if of in used}
+    panel = Panel(room, cases, options.seeds, own, own["as it is"].setdefault(code, []))
+    panel.trace()
+    lock = threading.Lock()
 
     def work(rule: Rule) -> None:
         """Run variants, until one matters."""
-        entry = table[rule.key]
-        if entry["code"] != code:
-            return
-        for variant in rule.variants:
-            if screened and verdict(own, rule.key) not in ("go", _OPEN):
+        for variant in rule.variants if table[rule.key]["code"] == code else ():
+            if screened and _matters(own, rule.key):
                 break
-            rows = entry["variants"].setdefault(variant, [])
-            fill(rule, variant, rows)
+            panel.fill(rule, variant, table[rule.key]["variants"].setdefault(variant, []))
             print(f"{rule.key} {variant}: {_moved(own, rule.key, variant)}", flush=True)
             with lock:
                 options.record.write_text(_written(record))
 
-    def fill(rule: Rule | None, variant: str, rows: list[dict[str, Any]]) -> None:
-        """Add the rows that are missing."""
-        known = {(row["case"], row["seed"]) for row in rows}
-        for seed in options.seeds:
-            todo = [
-                case
-                for case in sorted(cases, key=lambda case: (seconds.get(case, 0.0), case))
-                if (case, seed) not in known and (not rule or rule.users & entered[case])
-            ]
-            for row in run_variant(room, rule, variant, todo, seed) if todo else ():
-                entered[row["case"]].update(row.pop("entered", ()))
-                rows.append(_rounded(row))
-                if rule and screened and worth(own, rule.key, variant)[row["case"]].worse:
-                    break
-
-    from benchmarks.ablation_cases import FOLDER
-
-    # functions that each case enters: too many for the record
-    names = FOLDER / f"entered-{code_of(room)}.json"
-    lock, entered = threading.Lock(), defaultdict[str, set[str]](set)
-    if names.exists():
-        for case, functions in json.loads(names.read_text()).items():
-            entered[case] = set(functions)
-    else:
-        base.clear()  # they are traced with the rules as they are
-    seconds: dict[str, float] = {}
-    fill(None, "", base)
-    for row in base:
-        seconds[row["case"]] = row["cpu_s"]
-    used = {entry["code"] for entry in table.values()} | {code}
-    own["as it is"] = {of: rows for of, rows in own["as it is"].items() if of in used}
     options.record.write_text(_written(record))
-    names.write_text(json.dumps({case: sorted(each) for case, each in entered.items()}))
     with ThreadPoolExecutor(options.jobs) as pool:
         list(pool.map(work, chosen))
     return record
+
+
+def _matters(own: dict[str, Any], key: str) -> bool:
+    return verdict(own, key) not in ("go", _OPEN)
+
+
+def _judged(own: dict[str, Any], rule: Rule) -> bool:
+    """Return whether a rule with this text was judged, with whatever code."""
+    entry = own["rules"].get(rule.key)
+    if entry is None or entry["text"] != rule.text:
+        return False
+    return _matters(own, rule.key) or entry["variants"].keys() >= rule.variants.keys()
+
+
+@dataclass
+class Panel:
+    """Cases of a room, and what they show without and with a changed rule.
+
+    Attributes
+    ----------
+    own : the room's record.
+    base : its rows without a change, with the present code.
+    """
+
+    room: str
+    cases: list[str]
+    seeds: list[int]
+    own: dict[str, Any]
+    base: list[dict[str, Any]]
+
+    def trace(self) -> None:
+        """Run the cases without a change, and find the functions that each enters."""
+        from benchmarks.ablation_cases import FOLDER
+
+        self.entered = defaultdict[str, set[str]](set)
+        # too many for the record
+        names = FOLDER / f"entered-{code_of(self.room)}.json"
+        if names.exists():
+            known = json.loads(names.read_text())
+            self.entered.update({case: set(functions) for case, functions in known.items()})
+        else:
+            self.base.clear()
+        self.fill(None, "", self.base)
+        found = {case: sorted(functions) for case, functions in self.entered.items()}
+        names.write_text(json.dumps(found))
+
+    def fill(self, rule: Rule | None, variant: str, rows: list[dict[str, Any]]) -> None:
+        """Add the rows that are missing; with one seed, up to the first case that is worse."""
+        seconds = {row["case"]: row.get("cpu_s", 0.0) for row in self.base}
+        order = sorted(self.cases, key=lambda case: (seconds.get(case, 0.0), case))
+        known, screened = {(row["case"], row["seed"]) for row in rows}, len(self.seeds) == 1
+        for seed in self.seeds:
+            todo = [
+                case
+                for case in order
+                if (case, seed) not in known and (not rule or rule.users & self.entered[case])
+            ]
+            for row in run_variant(self.room, rule, variant, todo, seed) if todo else ():
+                self.entered[row["case"]].update(row.pop("entered", ()))
+                rows.append(_rounded(row))
+                if rule and screened and worth(self.own, rule.key, variant)[row["case"]].worse:
+                    break
 
 
 def _rounded(row: dict[str, Any]) -> dict[str, Any]:

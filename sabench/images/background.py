@@ -16,7 +16,7 @@ import numpy as np
 
 from sabench.images.flaws import Flaws
 from sabench.images.widths import measure_images
-from sabench.utils.arrays import F32, F64, FROM_MAD, Bool
+from sabench.utils.arrays import F32, FROM_MAD, Bool
 
 _SMOOTH = 1.0  # px: of noise, before the opening
 # px: width of the octagon if all pixels were dark: wider than particles' images, and narrow enough
@@ -45,14 +45,11 @@ class ClearImages(NamedTuple):
     images : (camera, row, column) less black and background.
     flaws : pixels that show nothing of the particles.
     saturated : (camera, row, column) pixels that show less light than there is.
-    noise : (camera,) standard deviation of dark pixels, grey values, where black cuts it; 0 where
-        it shows in values below black.
     """
 
     images: F32
     flaws: Flaws
     saturated: Bool
-    noise: F64
 
 
 def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:

@@ -103,15 +103,17 @@ def reconstruct_most_probable(
 
 
 def dark_images(case: Observation) -> ClearImages:
-    """Return repaired images less background, flaws, saturated pixels, and noise."""
+    """Return repaired images less background, flaws, and saturated pixels."""
     good = case.repaired
     light = good.images.astype(np.float32) - np.float32(case.black_dn)
-    cut = [
-        noise_cut_by_black(grey, ~unknown, case.black_dn)
-        for grey, unknown in zip(good.images, good.flaws.unknown, strict=True)
-    ]
-    cleared = clear_images(light, good.flaws)
-    return ClearImages(*cleared, good.images >= case.white_dn, np.array(cut))
+    return ClearImages(*clear_images(light, good.flaws), good.images >= case.white_dn)
+
+
+def _cut_noise(case: Observation) -> F64:
+    """Measure the noise (camera,) of images that black cuts; 0 of others."""
+    good = case.repaired
+    every = zip(good.images, good.flaws.unknown, strict=True)
+    return np.array([noise_cut_by_black(grey, ~unknown, case.black_dn) for grey, unknown in every])
 
 
 class Known(NamedTuple):
@@ -133,7 +135,8 @@ def search_frame(
     particles from a camera do not count. Cameras that contradict the others are left out, with a
     warning.
     """
-    frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s), confirmed)
+    images = dark_images(case), _cut_noise(case)
+    frame = _Frame(*images, maps, settings, Deadline(settings.budget_s), confirmed)
     search = _find_visible(frame, np.zeros(len(case.cameras), dtype=np.bool_))
     if search is None:
         return None
@@ -179,6 +182,7 @@ class _Frame(NamedTuple):
     """A frame's images, and how they are searched."""
 
     clear: ClearImages
+    cut_noise: F64
     maps: VolumePolynomials
     settings: BayesianIprSettings
     deadline: Deadline
@@ -208,10 +212,11 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
 
 def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> ParticleSearch | None:
     """Find particles, except pairs that look like one, outside areas that are hidden."""
-    clear, maps, settings, deadline, confirmed = frame
+    clear, cut_noise, maps, settings, deadline, confirmed = frame
     unknown = clear.flaws.unknown if hidden is None else clear.flaws.unknown | hidden
     statistics = measure_images(clear.images.astype(np.float64), ~unknown)
-    statistics = replace(statistics, shown=statistics.shown & ~wrong)
+    noise = np.maximum(statistics.noise, cut_noise)
+    statistics = replace(statistics, shown=statistics.shown & ~wrong, noise=noise)
     if statistics.shown.sum() < candidate_search.FEWEST:
         return None
     search = ParticleSearch(clear, maps, statistics, settings.fits)

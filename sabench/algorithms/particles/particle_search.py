@@ -121,10 +121,9 @@ class ParticleSearch:
         """Start without particles; all are fitted `fits` times before removals, at most."""
         self.shown, self.fits, self.number = statistics.shown, fits, statistics.number
         self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
-        noise = np.maximum(statistics.noise, clear.noise)
         self.noise, self.typical, self.tilt, self.flat = (
             values[self.shown]
-            for values in (noise, statistics.light, statistics.tilt, statistics.flat)
+            for values in (statistics.noise, statistics.light, statistics.tilt, statistics.flat)
         )
         self.hidden: Bool | None = None
         self.reset_covariance()
@@ -133,7 +132,7 @@ class ParticleSearch:
 
     def show(self, clear: ClearImages) -> None:
         """Take the images of a frame, with all cameras, and no particles."""
-        images, flaws, saturated, _ = clear
+        images, flaws, saturated = clear
         self.images, self.saturated = images[self.shown], saturated[self.shown]
         self.covered, self.known = flaws.covered[self.shown], ~flaws.unknown[self.shown]
         if self.hidden is not None:
