@@ -82,6 +82,22 @@ def plain(per_pixel: float, **changes: Any) -> Callable[[int], Truth]:
     return one(lambda: small_scene(per_pixel, **changes))
 
 
+def discs(per_pixel: float, radius_px: float) -> Callable[[int], Truth]:
+    """Make a case of particles far out of focus: their images are discs."""
+
+    def make(seed: int) -> Truth:
+        shot = simulate(small_scene(per_pixel), seed=seed)
+        grey = shot.observation.images
+        steps = np.mgrid[-4:5, -4:5].reshape(2, -1).T
+        steps = steps[np.hypot(*steps.T) <= radius_px]
+        blurred = np.mean([np.roll(grey, step, (1, 2)) for step in steps], axis=0)
+        noisy = blurred + 2.0 * np.random.default_rng(seed).standard_normal(grey.shape)
+        images = np.clip(np.rint(noisy), 0, 65535).astype(np.uint16)
+        return [replace(shot, observation=replace(shot.observation, images=images))]
+
+    return make
+
+
 def eight_bits(
     background: Callable[[np.random.Generator, tuple[int, ...]], F64],
     take_away: Callable[[F64, F64, float], F64] = lambda grey, known, noise: grey,
@@ -242,7 +258,7 @@ PARTICLES = {
         plain(0.04, solids=[_POST | {"material": {"reflectance": 0.05}}], lighting=_LAMPS), _BAYES
     ),
     "lit body": Case(plain(0.02, solids=[_POST], lighting=_LAMPS | {"exposure": 0.02}), _BAYES),
-    "flat images": Case(plain(0.02, cameras={"f_number": 4.0, "pixel_mm": 0.01}), _BAYES),
+    "discs": Case(discs(0.02, 2.5), _BAYES),
     "narrow images": Case(
         plain(
             0.04,

@@ -158,23 +158,16 @@ def search_frame(
 
 
 def _flatten(search: ParticleSearch) -> None:
-    """Use the measured flatness of images if that leaves less of them.
-
-    All particles are tried again: halves of a particle with a non-Gaussian image gain
-    nothing now.
-    """
+    """Use the measured flatness of images if that leaves less of them."""
     plain, before = search.shapes.copy(), search.squares_left()
     search.flatten()
     search.refine(search.fits)
-    chance = search.squares_left() > _FLATTER * before
-    if chance.any():
-        search.set_shapes(np.where(chance[:, None, None], plain, search.shapes))
+    if np.mean(search.squares_left() / before) > _FLATTER:
+        search.set_shapes(plain)
         search.refine(search.fits)
-    if chance.all():
         return
     learned_model.weigh_pixels(search, CAPS[1])
     learned_model.learn_widths(search)
-    search.sure[:] = False
     search.remove(lone=True)
 
 

@@ -115,6 +115,7 @@ def learn_widths(search: ParticleSearch) -> None:
         search.shapes += np.clip(step, -most, most)
         np.clip(search.shapes[:, 3, 0], 0.0, MOST_FLAT, out=search.shapes[:, 3, 0])
         search.subtract_all()
+    search.sure[:] = False  # two halves of an image of another shape gain nothing now
 
 
 def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
