@@ -134,8 +134,10 @@ def mutants_of(module: Path) -> list[Mutant]:
 def _code(node: ast.AST) -> Iterator[ast.AST]:
     """List a node and those below it, without messages, annotations, docstrings.
 
-    Decorators are left out, too.
+    Decorators are left out, too, and the `strict` of `zip`, which no input can show.
     """
+    if isinstance(node, ast.keyword) and node.arg == "strict":
+        return
     yield node
     for name, value in ast.iter_fields(node):
         if name in ("annotation", "returns", "decorator_list", "type_params"):
