@@ -258,7 +258,9 @@ PARTICLES = {
         plain(0.04, solids=[_POST | {"material": {"reflectance": 0.05}}], lighting=_LAMPS), _BAYES
     ),
     "lit body": Case(plain(0.02, solids=[_POST], lighting=_LAMPS | {"exposure": 0.02}), _BAYES),
+    "out of focus": Case(plain(0.02, cameras={"f_number": 4.0, "pixel_mm": 0.01}), _BAYES),
     "discs": Case(discs(0.02, 2.5), _BAYES),
+    "flawed pixels": Case(plain(0.04, sensor={"hot_pixels": 0.001, "dead_pixels": 0.001}), _BAYES),
     "narrow images": Case(
         plain(
             0.04,

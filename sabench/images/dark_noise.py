@@ -24,9 +24,8 @@ Threshold. The grey value that the distribution exceeds with the stated probabil
 grey value for the rounding: an upper bound of false alarms per pixel.
 
 Other modules measure one noise of an image, faster and coarser, and thresholds depend on
-their digits: `repair.above_background` (median distance to the median of 3 x 3 pixels),
-`statistics.image_noise` (the same of the darker half, to fractions of a grey value),
-`widths.noise_below_black` (values below black, where the background is subtracted), and
+their digits: `repair.above_background` (median distance of the darker half to the median of 3 x 3
+pixels), `widths.noise_below_black` (values below black, where the background is subtracted), and
 `interop.image_statistics.background_noise` (median distance of dark pixels to the median).
 """
 

@@ -47,17 +47,20 @@ def repair(images: U16, black_dn: float, white_dn: float) -> Repaired:
 
 
 def above_background(grey: U16) -> tuple[F32, float]:
-    """Subtract the darkest part, without single dead pixels, and estimate the noise."""
+    """Subtract the darkest part, without single dead pixels, and estimate the noise.
+
+    The noise, at least 0.5, follows from the median distance of the darker half to the median of
+    3 x 3 pixels. A distance of k counts as spread evenly from k - 0.5 to k + 0.5, which resolves
+    noise of less than a grey value.
+    """
     import cv2  # takes long to load
 
     smooth = cv2.medianBlur(grey, 3)
     low = cv2.erode(smooth, np.ones((_WINDOW, _WINDOW), dtype=np.uint8))
-    light = grey.astype(np.float32) - low
-    return light, max(FROM_MAD * _middle(cv2.absdiff(grey, smooth)), LEAST_NOISE)
-
-
-def _middle(grey: U16) -> int:
-    return int(np.searchsorted(np.cumsum(np.bincount(grey.ravel())), grey.size / 2.0))
+    away = cv2.absdiff(grey, smooth)[smooth <= np.median(smooth)]
+    up_to = np.cumsum(np.bincount(away))
+    middle = np.interp(0.5 * up_to[-1], [0, *up_to], [0.0, *(np.arange(len(up_to)) + 0.5)])
+    return grey.astype(np.float32) - low, max(FROM_MAD * float(middle), LEAST_NOISE)
 
 
 def peak_light(light: F32, noise: float) -> float:
@@ -105,7 +108,7 @@ def find_reflections(grey: U16, white_dn: float) -> Bool:
     peak = peak_light(light, noise)
     if peak == 0.0:
         return np.zeros(grey.shape, dtype=np.bool_)
-    dark = _middle(grey)
+    dark = float(np.median(grey))
     square = np.ones((_WIDE, _WIDE), dtype=np.uint8)
     least = cv2.erode(grey, square)
     seeds = least >= min(dark + _BRIGHT * peak, white_dn)

@@ -287,21 +287,6 @@ class FittedImages(NamedTuple):
     found: int
 
 
-def image_noise(grey: U16) -> float:
-    """Estimate the noise of an image from its darker half, at least 0.5.
-
-    It follows from the median distance to the median of 3 x 3 pixels. A distance of k counts as
-    spread evenly from k - 0.5 to k + 0.5, which resolves noise of less than a grey value.
-    """
-    import cv2
-
-    smooth = cv2.medianBlur(grey, 3)
-    away = cv2.absdiff(grey, smooth)[smooth <= np.median(smooth)]
-    up_to = np.cumsum(np.bincount(away.ravel()))
-    middle = np.interp(0.5 * up_to[-1], [0, *up_to], [0.0, *(np.arange(len(up_to)) + 0.5)])
-    return max(0.5, FROM_MAD * float(middle))
-
-
 def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
     """Fit a Gaussian at any angle to each peak of an image (row, column).
 
@@ -311,8 +296,8 @@ def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
     Signal Process. Mag. 28 (2011) 134-137): of 3 x 3 pixels, since neighbours overlap, or of 5 x 5
     where the image is wider than 1 px.
     """
-    noise = image_noise(grey)
-    light = above_background(grey)[0] - np.float32(noise)  # the least of many values is that low
+    light, noise = above_background(grey)
+    light -= np.float32(noise)  # the least of many values is that low
     column, row = np.rint(find_peaks(light, _CLEAR * noise).pixels).astype(np.int64).T
     most = np.array(light.shape) - 1 - _HALF
     inner = (np.minimum(column, row) >= _HALF) & (row <= most[0]) & (column <= most[1])

@@ -21,7 +21,7 @@ from sabench.utils.arrays import F32, F64, Bool
 
 # Statistics of all pixels:
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
-_LEAST_TILT, LEAST_TILTED = 0.1, 0.45  # less is chance; px: least width of images for a tilt
+_LEAST_TILT, _LEAST_TILTED = 0.1, 0.45  # less is chance; px: least width of images for a tilt
 _MOST_TILT = 0.95  # of long streaks
 _NEAR = range(1, 6)  # px: distances of pixels that share particles
 _FAR = range(6, 8)  # px: so far apart, pixels share no particle
@@ -172,7 +172,7 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
     against = _product(over[:, ::-1], count[:, ::-1], 1, 1) - far
     tilt = math.log(along / against) if min(along, against) > 0.0 else 0.0
     tilt *= math.sqrt(squares[0] * squares[1])
-    tilted = abs(tilt) > _LEAST_TILT and min(squares) > LEAST_TILTED**2 + PIXEL
+    tilted = abs(tilt) > _LEAST_TILT and min(squares) > _LEAST_TILTED**2 + PIXEL
     tilt = min(max(tilt, -_MOST_TILT), _MOST_TILT) if tilted else 0.0
     area = 4.0 * math.pi * math.sqrt(squares[0] * squares[1] / (1.0 - tilt * tilt))
     squares = [min(square / (1.0 - tilt * tilt), widest) for square in squares]

@@ -38,7 +38,7 @@ def model_of(maps: VolumePolynomials, images: F64, between: float = 0.1) -> Imag
     precision: F64 = np.linalg.inv(even_covariance(cameras, between, 0.5)).astype(np.float64)
     return ImageModel(
         maps,
-        np.tile(np.array([[one, 0.0, 0.0, 0.0] for one in (*SIGMA, 0.0, 0.0)]), (cameras, 1, 1)),
+        np.tile(np.array([[one, *[0.0] * 4] for one in (*SIGMA, 0.0, 0.0)]), (cameras, 1, 1)),
         np.full(cameras, TYPICAL),
         precision,
         float(np.linalg.slogdet(precision)[1]),

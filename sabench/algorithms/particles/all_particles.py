@@ -180,13 +180,6 @@ def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, si
     for_each(paint, len(sigma))
 
 
-def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure (n,), in standard deviations, the squares left over those of noise."""
-    return _measure(
-        model_moves.measure_misfit, model, sigma, particles, np.zeros(len(particles.position))
-    )
-
-
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
     """Predict (n,) the decrease of the cost by a split along the best step (k, 3)."""
     gains = np.zeros(len(particles.position))

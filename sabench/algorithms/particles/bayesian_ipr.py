@@ -5,7 +5,7 @@ probability in place of its thresholds.
 
 Model. Less black and background, camera c shows I_c(x) = sum_n L_nc g_c(x - P_c(X_n)) + noise.
 P_c maps the position X_n of particle n to a pixel (`VolumePolynomials`). g_c is a Gaussian of two
-widths and a tilt, or flatter, which change linearly over the volume (`image_model`). The variance
+widths and a tilt, or flatter, which change over the volume (`image_model`). The variance
 v_c(x) of a pixel is a line over the model's light, at most a cap that falls from round to round,
 and at least the sum of the variance of dark pixels, (3 % of the model)^2 and (a quarter of what is
 left)^2. A saturated pixel has at least its value.

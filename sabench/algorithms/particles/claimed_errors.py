@@ -10,6 +10,7 @@ from sabench.algorithms.particles.image_model import (
     MOST_FLAT,
     ImageModel,
     ModelParticles,
+    shape_at,
     without_margins,
 )
 from sabench.geometry.volume_polynomials import project_with_slopes
@@ -58,8 +59,8 @@ def _spots(
 ) -> ParticleSpots:
     """Make round images of equal area, which fix particles as well as the true ones."""
     pixel, slope = project_with_slopes(model.maps, camera, particles.position)
-    terms = np.concatenate([np.ones((len(pixel), 1)), particles.position], axis=1)
-    across, down, tilt, flatness = model.shapes[camera] @ terms.T
+    shapes = model.shapes[camera]
+    across, down, tilt, flatness = (shape_at(shape, particles.position.T) for shape in shapes)
     spread = np.array([[across**2, tilt], [tilt, down**2]]).transpose(2, 0, 1)
     squares, axes = np.linalg.eigh(spread)
     squares = np.maximum(squares, _NARROWEST_PX**2)

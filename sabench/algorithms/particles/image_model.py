@@ -52,6 +52,7 @@ UNSEEN = 1e-12  # weight of an image that a camera does not see
 WEIGHT, PULL, XX, XY, YY, X, Y, GIVEN = range(8)  # of `sum_up`
 SUMS = 8
 SHAPES = 4  # of `ImageModel.shapes`: two widths, covariance, and flatness
+TERMS = 5  # of each, over the box: 1, its three coordinates, and the square of the last
 MOST_FLAT = 0.07  # a disc of four widths' diameter; edges of flatter ones would be negative
 _ANY_ORDER = {"reassoc", "contract", "nsz"}  # of sums
 _NONE = np.float32(0.0)
@@ -84,10 +85,11 @@ class ImageModel(NamedTuple):
     Attributes
     ----------
     maps : cameras.
-    shapes : (camera, SHAPES, 4) of particle images: widths along columns and rows, px, covariance
-        of both, px2, and flatness, in the box's middle, and their change along each of its
-        coordinates. The last two are 0 in the middle for a camera with plain images: Gaussians
-        that have columns and rows as axes. Flat ones are like discs.
+    shapes : (camera, SHAPES, TERMS) of particle images: widths along columns and rows, px,
+        covariance of both, px2, and flatness. Their terms are values in the box's middle, changes
+        along its coordinates, and with the square of the depth, as out of focus. The last two
+        shapes are 0 in the middle for a camera with plain images: Gaussians that have columns and
+        rows as axes. Flat ones are like discs.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light.
     log_precision, least_precision : logarithm of its determinant, and least eigenvalue.
@@ -193,6 +195,13 @@ def make_room(sigma: F64) -> Room:
     )
 
 
+@numba.njit(cache=True, inline="always")
+def shape_at(terms: Any, position: Any) -> Any:
+    """Return a number of an image's shape at a position in the box."""
+    x, y, z = position[0], position[1], position[2]
+    return terms[0] + terms[1] * x + terms[2] * y + (terms[3] + terms[4] * z) * z
+
+
 @numba.njit(cache=True)
 def place_windows(model: Any, room: Any, position: Any) -> None:
     """Place a particle's windows in all cameras, with its images' profiles."""
@@ -200,9 +209,7 @@ def place_windows(model: Any, room: Any, position: Any) -> None:
     for c in range(len(room.here)):
         project_point(model.maps, c, position, room.here[c], room.slope[c])
         for k in range(2):
-            width = model.shapes[c, k, 0]
-            for p in range(3):
-                width += model.shapes[c, k, p + 1] * position[p]
+            width = shape_at(model.shapes[c, k], position)
             room.width[c, k] = width
             first = math.floor(room.here[c, k] + 0.5) - half
             last = model.left.shape[2 - k] - lanes
@@ -235,10 +242,7 @@ def _shape_profiles(
     20, 36-65 and 113-141, 1905): by the square of the Laplace operator in units of widths, times
     minus the flatness.
     """
-    tilt, flat = shape[2, 0], shape[3, 0]
-    for p in range(3):
-        tilt += shape[2, p + 1] * position[p]
-        flat += shape[3, p + 1] * position[p]
+    tilt, flat = shape_at(shape[2], position), shape_at(shape[3], position)
     across, down, flat = width[0] * width[0], width[1] * width[1], min(max(flat, 0.0), MOST_FLAT)
     bend = 0.5 * tilt * tilt - 2.0 * flat * across * down
     column, row = -flat * across * across, -flat * down * down

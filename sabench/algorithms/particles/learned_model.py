@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.particles.all_particles import misfits, some_rows
+from sabench.algorithms.particles.all_particles import some_rows
 from sabench.algorithms.particles.claimed_errors import fit_line
 from sabench.algorithms.particles.image_model import (
     MARGIN_PX,
     MOST_FLAT,
     SHAPES,
+    TERMS,
     UNSEEN,
     XX,
     ImageModel,
@@ -31,7 +32,6 @@ from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.geometry.volume_polynomials import project_points
 from sabench.images.gaussian_kernels import fill_derivatives
 from sabench.images.near_images import near_images
-from sabench.images.widths import LEAST_TILTED
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
@@ -45,9 +45,10 @@ _TILT_CHANGE = 0.2  # of tilts, at first and over the box
 _TILTED = 0.2  # correlation somewhere in the box that loses particles
 _FLAT_CHANGE = 0.02  # of flatness, at first and over the box
 _SHAPE_ERRORS = np.array(
-    [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]] * 2 + [[_TILT_CHANGE] * 4, [_FLAT_CHANGE] * 4]
+    [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3, _WIDTH_ERROR]] * 2
+    + [[_TILT_CHANGE] * TERMS, [_FLAT_CHANGE] * TERMS]
 )
-_SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE], [_FLAT_CHANGE]])
+_LONGEST = 0.25  # of these errors: a step; with longer ones, missing particles' light misleads
 
 # Variance of pixels:
 _CLIP = 30.0  # mean squares: largest contribution of a pixel
@@ -90,29 +91,23 @@ def learn_light(search: ParticleSearch) -> None:
 def learn_widths(search: ParticleSearch) -> None:
     """Learn the shapes of images, and how they change, from isolated particles.
 
-    The half of them count that leave least of their images: others may be two. Few particles must
-    be missing, because what they leave makes others wider.
+    Few particles must be missing, because what they leave makes others wider.
     """
     lone = _find_lone(search)
     if len(lone) < _FEW:
         return
     model, particles, cameras = search.model(), search.particles(), len(search.images)
-    misfit = misfits(model, search.widest, particles)
-    misfit = misfit[lone] / search.common_light()[lone] ** 2
-    lone = lone[misfit <= np.median(misfit)]
+    areas = search.sigma.prod(axis=1)
+    units = np.column_stack([search.sigma, areas, np.ones(cameras)])[:, :, None]
+    errors, unknowns = _SHAPE_ERRORS * units, SHAPES * TERMS
     for _ in range(_STEPS):
-        unknowns = 4 * SHAPES
         matrices, right = np.zeros((cameras, unknowns, unknowns)), np.zeros((cameras, unknowns))
         add_shape_misses(model, search.room, particles, lone, matrices, right)
-        areas = search.sigma.prod(axis=1)
-        units = np.column_stack([search.sigma, areas, np.ones(cameras)])[:, :, None]
-        precision = (_SHAPE_ERRORS * units) ** -2.0
-        right -= (precision * (search.shapes - search.first_shapes)).reshape(cameras, -1)
-        matrices += precision.reshape(cameras, -1, 1) * np.eye(unknowns)
+        right -= (errors**-2.0 * (search.shapes - search.first_shapes)).reshape(cameras, -1)
+        matrices += (errors**-2.0).reshape(cameras, -1, 1) * np.eye(unknowns)
         _keep_plain(search, matrices, right)
         step = np.linalg.solve(matrices, right[:, :, None]).reshape(search.shapes.shape)
-        most = _SHAPE_STEPS * units
-        search.shapes += np.clip(step, -most, most)
+        search.shapes += np.clip(step, -_LONGEST * errors, _LONGEST * errors)
         np.clip(search.shapes[:, 3, 0], 0.0, MOST_FLAT, out=search.shapes[:, 3, 0])
         search.subtract_all()
     search.sure[:] = False  # two halves of an image of another shape gain nothing now
@@ -123,16 +118,15 @@ def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
 
     Tilts slow the fits down.
     """
-    tilts = np.linalg.solve(matrices[:, 8:12, 8:12], right[:, 8:12, None])[:, :, 0]
+    tilted = slice(2 * TERMS, 3 * TERMS)
+    tilts = np.linalg.solve(matrices[:, tilted, tilted], right[:, tilted, None])[:, :, 0]
     farthest = np.abs(tilts).sum(axis=1) / search.sigma.prod(axis=1)
-    upright = (search.shapes[:, 2, 0] == 0.0) & (
-        (farthest < _TILTED) | (search.sigma.min(axis=1) < LEAST_TILTED)
-    )
+    upright = (search.shapes[:, 2, 0] == 0.0) & (farthest < _TILTED)
     without = np.stack([upright, search.shapes[:, 3, 0] == 0.0], axis=1)
     for camera, term in np.argwhere(without):
-        tilt = slice(8 + 4 * term, 12 + 4 * term)
-        matrices[camera, tilt], matrices[camera, :, tilt], right[camera, tilt] = 0.0, 0.0, 0.0
-        matrices[camera, tilt, tilt] = np.eye(4)
+        out = slice((2 + term) * TERMS, (3 + term) * TERMS)
+        matrices[camera, out], matrices[camera, :, out], right[camera, out] = 0.0, 0.0, 0.0
+        matrices[camera, out, out] = np.eye(TERMS)
 
 
 def align_cameras(search: ParticleSearch) -> None:
@@ -273,13 +267,14 @@ def add_shape_misses(
     Parameters
     ----------
     rows : (k,) particles.
-    matrices, right : (camera, 4 SHAPES, 4 SHAPES) and (camera, 4 SHAPES) normal equations.
+    matrices, right : (camera, n, n) and (camera, n) normal equations, of n = SHAPES TERMS.
     """
-    (dot, slopes), both, terms = np.zeros((2, SHAPES)), np.zeros((SHAPES, SHAPES)), np.ones(4)
+    (dot, slopes), both, terms = np.zeros((2, SHAPES)), np.zeros((SHAPES, SHAPES)), np.ones(TERMS)
     image = np.zeros((room.window, room.window), dtype=np.float32)
     changes = np.zeros((SHAPES, room.window, room.window), dtype=np.float32)
     for n in rows:
-        copy_row(particles.position[n], terms[1:])
+        copy_row(particles.position[n], terms[1:4])
+        terms[4] = terms[3] * terms[3]
         place_windows(model, room, particles.position[n])
         for c in range(len(model.typical)):
             column, row = room.corner[c, 0], room.corner[c, 1]
@@ -299,11 +294,11 @@ def add_shape_misses(
                             both[a, b] += each * changes[a, i, j] * changes[b, i, j]
             if not whole > UNSEEN:
                 continue
-            for k in range(4 * SHAPES):
-                a, p = k // 4, k % 4
+            for k in range(SHAPES * TERMS):
+                a, p = k // TERMS, k % TERMS
                 right[c, k] += light * terms[p] * (slopes[a] - dot[a] * pull / whole)
-                for m in range(4 * SHAPES):
-                    b, q = m // 4, m % 4
+                for m in range(SHAPES * TERMS):
+                    b, q = m // TERMS, m % TERMS
                     matrices[c, k, m] += (
                         light * light * terms[p] * terms[q] * (both[a, b] - dot[a] * dot[b] / whole)
                     )

@@ -223,22 +223,6 @@ def _largest_share(room: Any, light: Any) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
-    """Fill in (n,), in standard deviations, the squares left over those of noise."""
-    for n in range(len(misfit)):
-        squares, count = 0.0, 0
-        place_windows(model, room, particles.position[n])
-        for c in range(len(model.typical)):
-            left, weights, corner = model.left[c], model.weight[c], room.corner[c]
-            for i in range(corner[1], corner[1] + room.window):
-                for j in range(corner[0], corner[0] + room.window):
-                    each = counting(weights[i, j], left[i, j])
-                    squares += each * left[i, j] ** 2
-                    count += each > 0.0
-        misfit[n] = (squares - count) / math.sqrt(2.0 * count) if count else 0.0
-
-
-@numba.njit(cache=True, nogil=True)
 def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> None:
     """Fill in (n, camera) the gain of light; negative if a camera shows none."""
     for n in range(len(gained)):

@@ -18,6 +18,7 @@ from sabench.algorithms.particles.claimed_errors import claimed_covariances
 from sabench.algorithms.particles.image_model import (
     MOST_FLAT,
     SHAPES,
+    TERMS,
     ImageModel,
     ModelParticles,
     Room,
@@ -153,7 +154,7 @@ class ParticleSearch:
     def set_width(self, sigma: F64) -> None:
         """Set Gaussians of widths (camera, 2) everywhere, with the measured tilt."""
         tilt = np.clip(self.tilt, -MOST_TILT, MOST_TILT)
-        shapes = np.zeros((len(sigma), SHAPES, 4))
+        shapes = np.zeros((len(sigma), SHAPES, TERMS))
         shapes[:, :2, 0], shapes[:, 2, 0] = sigma, tilt * sigma.prod(axis=1)
         self.set_shapes(shapes)
 

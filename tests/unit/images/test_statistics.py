@@ -5,6 +5,7 @@ import pytest
 from scipy.special import erf
 
 from sabench.images import statistics
+from sabench.images.repair import above_background
 from sabench.utils.arrays import F64, U16
 
 
@@ -160,7 +161,7 @@ def test_hot_pixels_and_saturated_peaks_are_no_particle_images() -> None:
 def test_noise_of_a_grey_value_makes_no_peaks(noise: float) -> None:
     """Rounding to grey values hides such noise from quantiles."""
     image = record(np.zeros(SHAPE), noise)
-    assert statistics.image_noise(image) == pytest.approx(np.hypot(noise, 12**-0.5), rel=0.25)
+    assert above_background(image)[1] == pytest.approx(np.hypot(noise, 12**-0.5), rel=0.25)
     assert statistics.fit_particle_images(image, 255.0).found == 0
     assert statistics.fit_particle_images(np.full_like(image, 7), 255.0).found == 0
 

@@ -13,7 +13,7 @@ from tests.helpers.particle_box import COLUMNS, ROWS, Maps
 
 CAMERA, PLACE, FINE = 1, np.array([0.3, -0.2, 0.4]), 20
 # of the covariance, px2, and flatness over the box
-CHANGE = np.array([[0.0, 0.02, -0.03, 0.01], [0.0, 0.005, 0.002, -0.01]])
+CHANGE = np.array([[0.0, 0.02, -0.03, 0.01, 0.02], [0.0, 0.005, 0.002, -0.01, 0.01]])
 
 
 def shaped(
@@ -25,7 +25,7 @@ def shaped(
     for k, there in enumerate((correlation * SIGMA[0] * SIGMA[1], flatness)):
         if there:
             shape[k] = CHANGE[k]
-            shape[k, 0] = there - CHANGE[k, 1:] @ PLACE
+            shape[k, 0] = there - CHANGE[k, 1:] @ [*PLACE, PLACE[2] ** 2]
     return model, room
 
 
