@@ -25,7 +25,7 @@ from sabench.utils.arrays import F64, Bool, all_in_row
 _HALLEY, _MAX_STEPS = 4, 100
 
 
-def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64]:
+def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
     """Solve for the tangent t of the angle in the rarest medium of paths.
 
     The paths have a given lateral distance.
@@ -40,7 +40,6 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
     Returns
     -------
     slope : (n,) t >= 0.
-    residual_mm : (n,) lateral distance of the traced path minus `radius_mm`.
     """
     relative = indices / indices.min()
     quick = _halley(relative, depths_mm, radius_mm)
@@ -64,10 +63,10 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
             (moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm)
         ):
             break
-    return slope, value - radius_mm
+    return slope
 
 
-def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64] | None:
+def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64 | None:
     """Solve by a few of Halley's steps, without a bracket.
 
     Each step triples the right digits. Returns None where one path has not converged.
@@ -80,8 +79,8 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tupl
         slope = slope + step
         if np.all(np.abs(step) <= 1e-5 * slope):
             value, _ = _lateral(relative, depths_mm, slope)
-            left = value - radius_mm
-            return (slope, left) if np.all(np.abs(left) <= 2e-13 + 5e-16 * radius_mm) else None
+            near = np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm
+            return slope if near.all() else None
     return None
 
 
@@ -311,7 +310,7 @@ class Wall:
             radius = np.sqrt(lateral[0] ** 2 + lateral[1] ** 2 + lateral[2] ** 2)
             lateral *= 1.0 / np.where(radius > 0.0, radius, 1.0)
             layers = [layer.thickness_mm for layer in self.layers]
-            slope, _ = solve_slope(self.indices, [max(before, 1e-300), *layers, behind], radius)
+            slope = solve_slope(self.indices, [max(before, 1e-300), *layers, behind], radius)
             sine, cosine = angle_in(self.indices, 0, slope)
             last_sine, last_cosine = angle_in(self.indices, -1, slope)
             for axis in range(3):  # directions at these angles from the normal

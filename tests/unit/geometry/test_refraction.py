@@ -103,7 +103,7 @@ def test_fermat_no_neighbouring_path_is_shorter(wall: Wall) -> None:
     depths = [350.0, *(layer.thickness_mm for layer in wall.layers), 80.0]
     rng, count = np.random.default_rng(1), len(depths) - 1
     for reach in (5.0, 120.0):
-        slope = solve_slope(wall.indices, [*depths], np.array([reach]))[0][0]
+        slope = solve_slope(wall.indices, [*depths], np.array([reach]))[0]
         corners = hand_path(wall, 350.0, 80.0, slope / math.hypot(1.0, slope))[0]
         moves = np.zeros((200, count + 2))
         moves[1:, 1:-1] = 10.0 ** rng.uniform(-3.0, 1.0, (199, 1)) * rng.normal(size=(199, count))
@@ -262,4 +262,4 @@ def test_halley_converges_without_a_bracket(relative: F64, depths_mm: list[F64 |
     """Steep and flat paths alike need few steps, unless the rarest layer is thin."""
     slope = np.geomspace(1e-3, 1e2, 60)
     found: Any = _halley(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])
-    assert_allclose(found[0], slope, rtol=1e-9)
+    assert_allclose(found, slope, rtol=1e-9)

@@ -100,6 +100,7 @@ def test_figures_of_a_jet_are_those_of_its_law() -> None:
         room = np.pi * (outer**2 - inner**2) * 20.0
         found = figures.concentration[:, ring]
         assert_allclose(found, np.array(expected) / room, rtol=0.1, atol=2e-5)
+    assert figures.depth_mm[-1] == 190.0  # no bin below the depth that counts
     assert figures.penetration_mm == pytest.approx(120.0, rel=0.1)
     assert figures.angle_deg == pytest.approx(law.angle_deg, rel=0.25)
     assert figures.weight == pytest.approx(0.903, rel=0.1)

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench.algorithms.calibration.resection import known_places, place_boards, upright_axes
+from sabench.api.truth import Target
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.utils.arrays import F64
 from tests.helpers.calibration_tanks import BOARD, MIDDLE, make_tank, rotated, solve, with_places
@@ -42,3 +43,16 @@ def test_known_points_place_a_board() -> None:
     some = with_places(case, places, 1e-6)
     some.known_mm[:, 3:-1] = np.nan
     assert_allclose(known_places(some), places, atol=1e-3)
+
+
+def test_a_target_of_one_point_is_where_that_is_known() -> None:
+    case, _, places = make_tank()
+    ball = replace(
+        case,
+        target=Target.from_places(((3.0, 0.0, 0.0),)),
+        pixels=case.pixels[:, :, :1],
+        initial_mm=case.initial_mm[:, :1],
+        known_mm=places[:, :1],
+        known_sigma_mm=np.full_like(places[:, :1], 1e-6),
+    )
+    assert_allclose(known_places(ball), places[:, :1], atol=1e-12)
