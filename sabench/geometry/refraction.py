@@ -63,7 +63,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F
             (moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm)
         ):
             break
-    return slope
+    return np.asarray(slope)
 
 
 def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64 | None:

@@ -92,6 +92,25 @@ def test_points_come_back_from_their_images(kind: int) -> None:
     assert np.abs(intersect(models, pixels)[known] - points[known]).max() < (0.02 if kind else 1e-6)
 
 
+def test_points_do_not_depend_on_the_size_of_pixels() -> None:
+    cameras = build_rig(calibration_scene()).cameras[:4]
+    points = lattice(10.0)
+    pixels = np.stack([camera.project(points)[0] for camera in cameras])
+    pixels += np.random.default_rng(0).standard_normal(pixels.shape)
+    coarse = [
+        replace(
+            camera,
+            pixel_mm=100.0 * camera.pixel_mm,
+            principal_point_px=(
+                camera.principal_point_px[0] / 100.0,
+                camera.principal_point_px[1] / 100.0,
+            ),
+        )
+        for camera in cameras
+    ]
+    assert_allclose(triangulate(coarse, pixels / 100.0), triangulate(cameras, pixels), atol=1e-6)
+
+
 def test_points_that_do_not_determine_a_model_are_refused() -> None:
     points, rng = lattice(), np.random.default_rng(0)
     flat = points[points[:, 2] == Z_PLANES[0]]
