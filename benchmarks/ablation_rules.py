@@ -38,7 +38,6 @@ STRUCTURE = {
 # a rule's value, or the body of a function, that switches it off
 OFF = {
     "algorithms.particles.bayesian_ipr._DARKEST": "(0.45,)",
-    "algorithms.particles.bayesian_ipr._flatten": "pass",
     "algorithms.particles.bayesian_ipr.split_and_find": "return 0",
     "algorithms.particles.particle_search._FLOOR": "0.0",
     "algorithms.particles.particle_search._SETTLED": "0.0",
@@ -58,7 +57,6 @@ OFF = {
     "images.background.find_glints": "return np.zeros(image.shape, dtype=np.bool_)",
     "images.background.clear_images": "return images, flaws",
     "images.widths._without_brightest": "return valid",
-    "images.widths.measure_flatness": "return np.zeros(3)",
     "images.widths._light_of_peaks": "return math.inf",
     "images.dark_noise._measure_dense": "return None",
     "images.dark_noise._leave_out_bright": "return noise",

@@ -4,15 +4,13 @@
 no harm: for particles at random, products of pixels some distance apart follow from one particle's
 image (Campbell's theorem: N. R. Campbell, The study of discontinuous phenomena, Proc. Camb. Phil.
 Soc. 15, 117-136, 1909). Where few particles make an image hardly brighter than its background, or a
-glint is brighter than all, peaks are used. Images of particles out of focus are discs: their
-products fall with distance differently from a Gaussian's.
+glint is brighter than all, peaks are used.
 
 `image_widths` is faster and coarser: three pixels across each peak. `images.statistics` fits a
 Gaussian to each peak, and `particles.learned_model` all cameras' images of the particles found.
 """
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +21,6 @@ from sabench.utils.arrays import F32, F64, Bool
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
 _LEAST_TILT, _LEAST_TILTED = 0.1, 0.45  # less is chance; px: least width of images for a tilt
 _MOST_TILT = 0.95  # of long streaks
-_NEAR = range(1, 6)  # px: distances of pixels that share particles
 _FAR = range(6, 8)  # px: so far apart, pixels share no particle
 _LOCAL = 31  # px: square of the mean that products are less; many particles' images
 LEAST_NOISE = 0.5  # grey values: of rounding
@@ -33,11 +30,6 @@ _PEAK, _AROUND = 5, 7  # px: squares with a peak as brightest pixel, and with it
 _BLOB, _OUTSHINES = 15, 0.1  # px: a square around a glint; share of an image's squared light
 _OVER_PEAKS = 3.0  # of the light around a middle peak: the most that is typical
 PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
-
-# Flatness:
-_FLATNESS = np.linspace(0.0, 0.08, 33)  # tried
-_SQUARES = np.geomspace(1.0, 9.0, 120)  # px2: tried; narrower images hardly differ from Gaussians
-_LEAST = 0.012  # as little does not
 
 
 def image_widths(images: F32, pixels: list[F64]) -> F64:
@@ -78,8 +70,6 @@ class ImageStatistics:
     sigma : (camera, 2) standard deviations of particle images along columns and rows, px.
     tilt : (camera,) correlation of columns and rows within particle images, between -1 and 1: that
         of an oblique ellipse.
-    flat : (camera, 3) widths and flatness, as `measure_flatness` says, of images that are flatter
-        than Gaussians, such as discs out of focus; 0 of others.
     light : (camera,) sum of the grey values of a typical particle's image; particles of different
         light count by their light. 0 where none shows.
     noise : (camera,) standard deviation of dark pixels, grey values.
@@ -89,7 +79,6 @@ class ImageStatistics:
 
     sigma: F64
     tilt: F64
-    flat: F64
     light: F64
     noise: F64
     shown: Bool
@@ -108,12 +97,12 @@ def measure_images(images: F64, valid: Bool) -> ImageStatistics:
         _measure_image(image, _without_brightest(image, used))
         for image, used in zip(images, valid, strict=True)
     ]
-    sigma, tilt, flat, light, shown = map(np.array, zip(*measured, strict=True))
+    sigma, tilt, light, shown = map(np.array, zip(*measured, strict=True))
     noise = np.array([noise_below_black(values) for values in pixels])
     sums = np.array([float(values.sum()) for values in pixels])
     number = np.maximum(sums[shown] / light[shown], 1.0)
     typical = float(np.median(number)) if shown.any() else 0.0
-    return ImageStatistics(sigma, tilt, flat, light, noise, shown, typical)
+    return ImageStatistics(sigma, tilt, light, noise, shown, typical)
 
 
 def noise_below_black(values: F64 | F32) -> float:
@@ -136,8 +125,8 @@ def _without_brightest(image: F64, valid: Bool) -> Bool:
     return valid if left < _FEW_PEAKS else rest
 
 
-def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float, F64, float, bool]:
-    """Measure widths (columns, rows), tilt, `flat`, light, and if particles show.
+def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float, float, bool]:
+    """Measure widths (columns, rows), tilt, light, and if particles show.
 
     Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12:
     of tilted images (1 - tilt2) times that. Those one and two pixels apart give s. That at distance
@@ -158,10 +147,10 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
     far = sum(apart) / len(apart)
     widest = _MOST_SIGMA**2 + PIXEL
     steps = (0, 1), (1, 0)
-    near = np.array([[_product(over, count, d * i, d * j) for d in _NEAR] for i, j in steps]) - far
+    near = np.array([[_product(over, count, d * i, d * j) for d in (1, 2)] for i, j in steps]) - far
     squares: list[float] = []
     at_zero: list[float] = []
-    for first, second in near[:, :2].tolist():
+    for first, second in near.tolist():
         square = 0.75 / math.log(first / second) if first > second > 0.0 else 0.0
         square = min(max(square, _LEAST_SIGMA**2 + PIXEL), widest)
         squares.append(square)
@@ -185,8 +174,7 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
     clear = float(near[:, 0].mean()) > _CLEAR * chance and 1e-6 < flux < math.inf
     tilt *= math.sqrt(squares[0] * squares[1]) / (widths[0] * widths[1])
-    flat = measure_flatness(near, _NEAR, _FAR)
-    return widths, tilt, flat, flux if clear else 0.0, clear
+    return widths, tilt, flux if clear else 0.0, clear
 
 
 def _light_of_peaks(light: F64, noise: float) -> float:
@@ -217,45 +205,3 @@ def _product(light: F64, count: F64, rows: int, columns: int) -> float:
     shifted = slice(rows, None), slice(columns, None)
     pairs = float((count[here] * count[shifted]).sum())
     return float((light[here] * light[shifted]).sum()) / max(pairs, 1.0)
-
-
-def measure_flatness(products: F64, near: Iterable[int], far: Iterable[int]) -> F64:
-    """Measure (3,) the widths, px, and the flatness of images.
-
-    They are those of `image_model`, and 0 where images are no flatter than Gaussians, or too
-    narrow. Those found have the least squared error of the products.
-
-    Parameters
-    ----------
-    products : (axis, distance) of pixels along columns and rows, less those far apart.
-    near, far : distances, px, of the products, and those that are far apart.
-    """
-    if not np.isfinite(products).all():
-        return np.zeros(3)
-    shape = _FLATNESS[:, None, None], _SQUARES[:, None]
-    apart = [_falloff(*shape, np.array(list(lags), dtype=float)) for lags in (near, far)]
-    shown = apart[0] - apart[1].mean(axis=2, keepdims=True)
-    # of each flatness (first), axis and width
-    height = products @ shown.transpose(0, 2, 1) / (shown**2).sum(axis=2)[:, None]
-    height = np.maximum(height, 0.0)
-    left = products[:, None] - height[..., None] * shown[:, None]
-    squares = (left**2).sum(axis=3)
-    which = int(squares.min(axis=2).sum(axis=1).argmin())
-    best = squares[which].argmin(axis=1)
-    if best.min() == 0 or _FLATNESS[which] < _LEAST:
-        return np.zeros(3)
-    widths = np.sqrt(_SQUARES[best] - PIXEL)
-    flatness = _FLATNESS[which] * np.sqrt(_SQUARES[best]).prod() ** 2 / widths.prod() ** 2
-    return np.array([*widths, flatness])
-
-
-def _falloff(flatness: F64, square: F64, apart: F64) -> F64:
-    """Compute products of pixels of images over those of Gaussians at distance 0.
-
-    An image is a Gaussian less its flatness times the square of the Laplace operator on it, in
-    units of widths. Powers of the operator on a Gaussian are Laguerre's polynomials times it.
-    """
-    w = apart**2 / (4.0 * square)
-    second = 1.0 - 2.0 * w + w**2 / 2.0
-    fourth = 1.0 - 4.0 * w + 3.0 * w**2 - 2.0 / 3.0 * w**3 + w**4 / 24.0
-    return np.asarray(np.exp(-w) * (1.0 - 4.0 * flatness * second + 24.0 * flatness**2 * fourth))

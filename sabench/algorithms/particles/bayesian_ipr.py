@@ -64,7 +64,6 @@ _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
 _NOTABLE = 0.001  # of the particles: fewer new ones end the rounds
-_FLATTER = 0.9  # of squares left, where images are flat (0.4 to 0.8); by chance few look so (0.97)
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
 
@@ -144,8 +143,6 @@ def search_frame(
         names = [camera.name for camera in case.cameras]
         search = obstacles.without_wrong_cameras(search, names, partial(_find_visible, frame))
         obstacles.warn_of_tilt(search, names)
-        if search.flat.any():
-            _flatten(search)
     for _ in range(settings.splits):
         if frame.deadline.over:
             break
@@ -155,20 +152,6 @@ def search_frame(
     learned_model.weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)
     return search
-
-
-def _flatten(search: ParticleSearch) -> None:
-    """Use the measured flatness of images if that leaves less of them."""
-    plain, before = search.shapes.copy(), search.squares_left()
-    search.flatten()
-    search.refine(search.fits)
-    if np.mean(search.squares_left() / before) > _FLATTER:
-        search.set_shapes(plain)
-        search.refine(search.fits)
-        return
-    learned_model.weigh_pixels(search, CAPS[1])
-    learned_model.learn_widths(search)
-    search.remove(lone=True)
 
 
 class _Frame(NamedTuple):

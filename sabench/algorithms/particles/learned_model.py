@@ -43,7 +43,8 @@ _FARTHEST_PX = 0.5  # the longest step of a shift
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _TILT_CHANGE = 0.2  # of tilts, at first and over the box
 _TILTED = 0.2  # correlation somewhere in the box that loses particles
-_FLAT_CHANGE = 0.02  # of flatness, at first and over the box
+_FLAT_CHANGE = 0.08  # of flatness, at first and over the box: from Gaussians to discs
+_FLAT = 0.01  # flatness that loses particles
 _SHAPE_ERRORS = np.array(
     [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3, _WIDTH_ERROR]] * 2
     + [[_TILT_CHANGE] * TERMS, [_FLAT_CHANGE] * TERMS]
@@ -114,17 +115,19 @@ def learn_widths(search: ParticleSearch) -> None:
 
 
 def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
-    """Take tilts out of the equations of nearly upright images.
+    """Take tilts and flatness out of the equations of images that hardly have any.
 
-    Tilts slow the fits down.
+    They slow the fits down.
     """
-    tilted = slice(2 * TERMS, 3 * TERMS)
-    tilts = np.linalg.solve(matrices[:, tilted, tilted], right[:, tilted, None])[:, :, 0]
+    tilted, flat = (slice(k * TERMS, (k + 1) * TERMS) for k in (2, 3))
+    tilts, flatness = (
+        np.linalg.solve(matrices[:, out, out], right[:, out, None])[:, :, 0]
+        for out in (tilted, flat)
+    )
     farthest = np.abs(tilts).sum(axis=1) / search.sigma.prod(axis=1)
-    upright = (search.shapes[:, 2, 0] == 0.0) & (farthest < _TILTED)
-    without = np.stack([upright, search.shapes[:, 3, 0] == 0.0], axis=1)
-    for camera, term in np.argwhere(without):
-        out = slice((2 + term) * TERMS, (3 + term) * TERMS)
+    hardly = np.stack([farthest < _TILTED, flatness[:, 0] < _FLAT], axis=1)
+    for camera, term in np.argwhere(hardly & (search.shapes[:, 2:, 0] == 0.0)):
+        out = (tilted, flat)[term]
         matrices[camera, out], matrices[camera, :, out], right[camera, out] = 0.0, 0.0, 0.0
         matrices[camera, out, out] = np.eye(TERMS)
 

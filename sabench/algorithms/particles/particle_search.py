@@ -16,7 +16,6 @@ import numpy as np
 from sabench.algorithms.particles import all_particles, candidate_search, joint_fit, model_moves
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
 from sabench.algorithms.particles.image_model import (
-    MOST_FLAT,
     SHAPES,
     TERMS,
     ImageModel,
@@ -78,7 +77,7 @@ _BY_PARTICLE = {
 }
 # arrays of a search that have one row for each of its cameras
 _BY_CAMERA = (
-    *("noise", "typical", "tilt", "flat", "shapes", "first_shapes"),
+    *("noise", "typical", "tilt", "shapes", "first_shapes"),
     *("variance", "known", "covered", "saturated", "framed_left"),
 )
 
@@ -122,10 +121,8 @@ class ParticleSearch:
         """Start without particles; all are fitted `fits` times before removals, at most."""
         self.shown, self.fits, self.number = statistics.shown, fits, statistics.number
         self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
-        self.noise, self.typical, self.tilt, self.flat = (
-            values[self.shown]
-            for values in (statistics.noise, statistics.light, statistics.tilt, statistics.flat)
-        )
+        each = statistics.noise, statistics.light, statistics.tilt
+        self.noise, self.typical, self.tilt = (values[self.shown] for values in each)
         self.hidden: Bool | None = None
         self.reset_covariance()
         self.show(clear)
@@ -162,15 +159,6 @@ class ParticleSearch:
         """Set the shapes of images, before more is learned of them."""
         self.shapes, self.first_shapes = shapes, shapes.copy()
         self.subtract_all()
-
-    def flatten(self) -> None:
-        """Give images measured as flat that shape, once most particles are found."""
-        shapes = self.shapes.copy()
-        for camera in np.flatnonzero(self.flat[:, 2]):
-            sigma, shape = self.flat[camera, :2], shapes[camera]
-            shape[2, 0] *= sigma.prod() / shape[:2, 0].prod()
-            shape[:2, 0], shape[3, 0] = sigma, min(self.flat[camera, 2], MOST_FLAT)
-        self.set_shapes(shapes)
 
     @property
     def sigma(self) -> F64:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.ndimage import gaussian_filter
 from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.image_model import MARGIN_PX, make_room
@@ -82,34 +81,6 @@ def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: fl
     assert found.tilt[0] == pytest.approx(expected, abs=0.1 * abs(expected))
     assert_allclose(found.sigma[0], widths, rtol=0.06)
     assert found.light[0] == pytest.approx(100.0, rel=0.1)
-
-
-def disc(radius: float) -> F64:
-    across = np.arange(-35, 36) / FINE
-    shown = (np.hypot(across, across[:, None]) <= radius).astype(float)
-    return np.asarray(gaussian_filter(shown, 0.7 * FINE, mode="constant"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("per_pixel", "radius", "width", "flatness", "scatter"),
-    [(0.005, 2.5, 1.38, 0.047, 0.018), (0.05, 3.0, 1.56, 0.064, 0.01)],
-)
-def test_discs_are_measured_as_flat(
-    per_pixel: float, radius: float, width: float, flatness: float, scatter: float
-) -> None:
-    """Of flatter discs, the flatness shows better."""
-    sigma_x, sigma_y, flat = measured(drawn(disc(radius), per_pixel, 1000.0)[None]).flat[0]
-    assert [sigma_x, sigma_y] == pytest.approx([width, width], rel=0.06)
-    assert flat == pytest.approx(flatness, abs=scatter)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("per_pixel", "sigma"), [(0.2, (0.5, 0.6)), (0.05, (1.0, 1.0)), (0.005, (1.6, 1.2))]
-)
-def test_gaussians_are_not_flat(per_pixel: float, sigma: tuple[float, float]) -> None:
-    assert not measured(image(per_pixel, sigma, 3)[None]).flat.any()
 
 
 @pytest.mark.slow
