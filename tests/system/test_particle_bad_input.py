@@ -194,8 +194,8 @@ def test_discs_out_of_focus_are_flat() -> None:
         noise = 2.0 * np.random.default_rng(seed).standard_normal(images.shape)
         counts.append(count_found(shot, solve([with_images(case, images + noise)])[0]))
     matched = sum(each.matched for each in counts)
-    assert matched > 0.98 * sum(each.truths for each in counts)
-    assert matched > 0.98 * sum(each.detections for each in counts)
+    assert matched > 0.97 * sum(each.truths for each in counts)
+    assert matched > 0.97 * sum(each.detections for each in counts)
 
 
 @pytest.mark.slow
