@@ -109,7 +109,9 @@ def learn_widths(search: ParticleSearch) -> None:
         _keep_plain(search, matrices, right)
         step = np.linalg.solve(matrices, right[:, :, None]).reshape(search.shapes.shape)
         search.shapes += np.clip(step, -_LONGEST * errors, _LONGEST * errors)
-        np.clip(search.shapes[:, 3, 0], 0.0, MOST_FLAT, out=search.shapes[:, 3, 0])
+        flat = search.shapes[:, 3]
+        np.clip(flat[:, 0], 0.0, MOST_FLAT, out=flat[:, 0])
+        flat[flat[:, 0] == 0.0] = 0.0
         search.subtract_all()
     search.sure[:] = False  # two halves of an image of another shape gain nothing now
 
