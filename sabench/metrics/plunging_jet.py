@@ -18,6 +18,7 @@ from sabench.worlds.library.plunging_jet import MARGIN
 
 DEPTH_MM, RADIUS_MM = 20.0, 8.0  # bins
 _CLOUD = 0.2  # of the largest C_Y
+_FIT_BINS = 4  # with bubbles: fewer do not show a scaling of two numbers
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def analyse(
     inside = (depth > 0.0) & (depth <= penetration) & (away <= slope * depth)
     percent = 100.0 * float(volume[inside].sum()) / (np.pi * slope**2 * penetration**3 / 3.0)
     weight = width = float("nan")
-    if np.isfinite(penetration) and len(y) >= 4:
+    if np.isfinite(penetration) and np.count_nonzero(total) >= _FIT_BINS:
         weight, width = fit_total((y - y[total.argmax()]) / penetration, total / total.max())
     profiles = y, r, concentration, total, largest, half
     return JetFigures(*profiles, penetration, equivalent, angle, percent / frames, weight, width)

@@ -88,8 +88,9 @@ def fine_air(law: JetLaw, depth_mm: float) -> tuple[F64, F64]:
 
 def test_no_bin_of_a_jet_is_deeper_than_what_counts() -> None:
     center, radius = np.array([[0.0, 10.0, 0.0]]), np.ones(1)
-    bins = [analyse(center, radius, np.zeros(3), depth, EDGE).depth_mm for depth in (199.5, 200.0)]
-    assert [float(one[-1]) for one in bins] == [170.0, 190.0]
+    found = [analyse(center, radius, np.zeros(3), depth, EDGE) for depth in (199.5, 200.0)]
+    assert [float(one.depth_mm[-1]) for one in found] == [170.0, 190.0]
+    assert np.isnan([[one.weight, one.width] for one in found]).all()  # one bubble shows no scaling
 
 
 def test_figures_of_a_jet_are_those_of_its_law() -> None:
