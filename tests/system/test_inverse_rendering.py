@@ -83,11 +83,14 @@ def test_projects_as_cameras_do(name: str) -> None:
 
 
 def shapes_of(change: float) -> F64:
-    """Widths that grow along x and shrink along y; if so, images are tilted and flat, too."""
-    rates = change * np.array([0.1, -0.2, 0.0])
+    """Widths grow along x and away from the middle depth, and shrink along y.
+
+    If so, images are tilted and flat, too.
+    """
+    rates = change * np.array([0.1, -0.2, 0.0, 0.1])
     shapes = np.tile([[one, *(one * rates)] for one in (*SIGMA, 0.0, 0.0)], (4, 1, 1))
-    shapes[1:3, 2] = change * np.array([0.1, -0.02, 0.01, 0.03])
-    shapes[2:, 3] = change * np.array([0.04, 0.01, -0.02, 0.02])
+    shapes[1:3, 2] = change * np.array([0.1, -0.02, 0.01, 0.03, 0.02])
+    shapes[2:, 3] = change * np.array([0.04, 0.01, -0.02, 0.02, 0.01])
     return shapes
 
 
@@ -131,7 +134,8 @@ def _derivatives(center: F64, sigma: F64, count: int) -> list[F64]:
 
 
 def painted(position: F64, logs: F64, change: float) -> F64:
-    terms = np.column_stack([np.ones(COUNT), (position - MIDDLE) / HALF])
+    place = (position - MIDDLE) / HALF
+    terms = np.column_stack([np.ones(COUNT), place, place[:, 2] ** 2])
     images = []
     for camera, shift, shapes, log in zip(CAMERAS, SHIFTS, shapes_of(change), logs.T, strict=True):
         pixels = camera.project(position)[0] + shift

@@ -39,7 +39,7 @@ class ImageModel(NamedTuple):
     shifts : (camera, 2) shifts of their pixels as (column, row), px.
     images : (camera, row, column) less black.
     weight : the same shape, 1 / variance of a pixel; 0 where it is unknown.
-    shapes : (camera, SHAPES, 4) of particle images, as those of `image_model.ImageModel`.
+    shapes : (camera, SHAPES, TERMS) of particle images, as those of `image_model.ImageModel`.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light over that.
     middle_mm, half_mm : (3,) centre and half edges of the box.
@@ -194,9 +194,12 @@ class _View:
         exact = model.cameras[camera]
         self.camera = DifferentiableCamera(exact, model.shifts[camera])
         self._image, self._weight = model.images[camera], model.weight[camera]
-        per_mm = model.shapes[camera, :, 1:] / model.half_mm
-        middle = model.shapes[camera, :, 0] - per_mm @ model.middle_mm
-        terms = np.column_stack([per_mm, middle])
+        # of 1, x, y, z and z^2 in the box: in mm
+        even, *slopes, bend = model.shapes[camera].T
+        per_mm, bend = np.stack(slopes, axis=1) / model.half_mm, bend / model.half_mm[2] ** 2
+        even = even - per_mm @ model.middle_mm + bend * model.middle_mm[2] ** 2
+        per_mm[:, 2] -= 2.0 * bend * model.middle_mm[2]
+        terms = np.column_stack([per_mm, bend, even])
         self._typical, self._shapes = constants([model.typical[camera], terms])
         self._plain = not model.shapes[camera, 2:, 0].any()
 
@@ -265,7 +268,8 @@ class _View:
 
     def _images(self, place: list[Any], log: Any) -> Any:
         """Render each particle's own image, window pixels (n k,) particle by particle."""
-        across, down, *shape = (_weighted(terms, [*place, 1.0]) for terms in self._shapes)
+        powers = [*place, place[2] * place[2], 1.0]
+        across, down, *shape = (_weighted(terms, powers) for terms in self._shapes)
         light = self._typical * self._dr.exp(log)
         spread = [*self.camera.project(*place), across, down, light]
         if not self._plain:
