@@ -208,7 +208,7 @@ def test_a_thin_recording_with_a_background_has_no_ghosts() -> None:
 
 @pytest.mark.slow
 def test_wide_images_that_look_flat_by_chance_are_gaussians() -> None:
-    """Of some fifty particles, the first fit says that one of four cameras has flat ones."""
+    """A fit to some fifty particles may say otherwise at first."""
     shot = make_small(12, per_pixel=0.02)
     wide = gaussian_filter(shot.observation.images.astype(np.float64), (0.0, 1.0, 1.0))
     noise = 2.0 * np.random.default_rng(12).standard_normal(wide.shape)

@@ -44,12 +44,12 @@ _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box
 _TILT_CHANGE = 0.2  # of tilts, at first and over the box
 _TILTED = 0.2  # correlation somewhere in the box that loses particles
 _FLAT_CHANGE = 0.08  # of flatness, at first and over the box: from Gaussians to discs
-_FLAT = 0.01  # flatness that loses particles
+_FLAT = 0.01  # flatness: isolated Gaussians show up to 0.005, discs of 2.5 px 0.03
 _SHAPE_ERRORS = np.array(
     [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3, _WIDTH_ERROR]] * 2
     + [[_TILT_CHANGE] * TERMS, [_FLAT_CHANGE] * TERMS]
 )
-_LONGEST = 0.25  # of these errors: a step; with longer ones, missing particles' light misleads
+_LONGEST = 0.25  # of these errors: a step; with whole ones, realistic images have more ghosts
 
 # Variance of pixels:
 _CLIP = 30.0  # mean squares: largest contribution of a pixel
