@@ -96,6 +96,13 @@ class Browser:
         else:
             self.send("POST", f"{element}/value", {"text": key})
 
+    def follow(self, path: str) -> None:
+        """Press a link to a view of the page: the click returns before the page has moved."""
+        moved = "new Promise(done => addEventListener('hashchange', done, { once: true }))"
+        self.ask(f"void (window.moved = {moved})")
+        self.press(path)
+        self.ask("window.moved.then(() => true)")
+
     def hover(self, path: str) -> None:
         target = {"element-6066-11e4-a52e-4f735466cecf": self._find(path)}
         move = {"type": "pointerMove", "duration": 0, "x": 0, "y": 0, "origin": target}

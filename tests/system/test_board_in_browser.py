@@ -196,7 +196,7 @@ def labels(browser: Browser, plot: int) -> list[str]:
 def test_accuracy_against_time_has_points_with_tips(browser: Browser, graded: Path) -> None:
     browser.open(graded, LOG)
     assert browser.count(".plot") == 0
-    browser.press("//a[text()='Accuracy against time']")
+    browser.follow("//a[text()='Accuracy against time']")
     browser.wait(DRAWN)
     assert [label.split(",")[0] for label in labels(browser, 0)] == [
         "a: Q 0.523 ± 0.063",
@@ -244,8 +244,7 @@ def test_difficulty_and_axes_show_scores_and_losses(browser: Browser, graded: Pa
 def test_pictures_come_with_their_case_only(browser: Browser, page: Path) -> None:
     browser.open(page, LOG)
     assert browser.ask("document.images.length") == 0
-    browser.press("//a[text()='tank']")
-    browser.wait("document.querySelector('h2')?.textContent === 'tank'")
+    browser.follow("//a[text()='tank']")
     assert browser.ask("document.activeElement.textContent") == "tank"
     assert (
         browser.texts("#viewer option") == ["truth", "add", "add: errors", "ten", "ten: errors"] * 2
@@ -355,13 +354,13 @@ def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Pa
     tables = "[...document.querySelectorAll('#tasks a')].map(one => one.firstChild.textContent)"
     assert browser.ask(tables) == ["particles", "particles, recorded"]
     assert browser.ask(SOLVERS) == ["c"]
-    browser.press("//nav[@id='tasks']/a[2]")
+    browser.follow("//nav[@id='tasks']/a[2]")
     assert browser.ask(SOLVERS) == ["a", "b"]  # no ranks: in the order of their names
     assert browser.texts(".chip") == ["recorded, no truth"] * 2
     browser.press(heading("explained"))
     browser.press(heading("explained"))
     assert browser.ask(SOLVERS) == ["b", "a"]
-    browser.press("//td/a[text()='tank']")
+    browser.follow("//td/a[text()='tank']")
     assert "Recorded images have no truth" in browser.ask(
         "document.getElementById('content').textContent"
     )
