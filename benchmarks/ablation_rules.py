@@ -41,7 +41,6 @@ OFF = {
     "algorithms.particles.bayesian_ipr.split_and_find": "return 0",
     "algorithms.particles.particle_search._FLOOR": "0.0",
     "algorithms.particles.particle_search._SETTLED": "0.0",
-    "algorithms.particles.particle_search._CONTESTED": "1e9",
     "algorithms.particles.particle_search._TRIAL_FITS": "0",
     "algorithms.particles.learned_model.align_cameras": "pass",
     "algorithms.particles.learned_model.learn_widths": "pass",

@@ -42,7 +42,6 @@ def model_of(maps: VolumePolynomials, images: F64, between: float = 0.1) -> Imag
         np.full(cameras, TYPICAL),
         precision,
         float(np.linalg.slogdet(precision)[1]),
-        float(np.linalg.eigvalsh(precision)[0]),
         with_margins(images.astype(np.float32)),
         with_margins(np.full(images.shape, 1.0 / NOISE**2, dtype=np.float32)),
         with_margins(images.astype(np.float32)),

@@ -48,7 +48,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sabench.algorithms.particles import candidate_search, learned_model, obstacles
-from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
+from sabench.algorithms.particles.particle_search import (
+    FLOORS,
+    ParticleSearch,
+    joined,
+    no_particles,
+)
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.background import ClearImages, clear_images
@@ -59,7 +64,6 @@ from sabench.utils.threads import Deadline
 
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
 _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, over the median
-FLOORS = (0.2, 0.06)  # of candidates' mean light, over a typical particle's: first and last
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from sabench.api import FoundParticles
 from sabench.geometry.camera_model import CameraModel
@@ -29,7 +30,7 @@ from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
-_NARROWEST, _ANY = 0.4, 1e-3  # px: widths of images that a lattice of pixels' steps does not miss
+_NARROWEST = 0.4  # px: least width of images that a lattice of pixels' steps does not miss
 _FLATTEST = 2.0  # pixels: longest step of the lattice, in space
 _DEEPEST = 3.0  # of the longest step along the depth over one across
 # across, across and along the depth, in their units
@@ -41,9 +42,7 @@ FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too of
 # Axes of the rig, shares of the volume, and faults of cameras:
 _VECTORS = {"position_mm", "velocity_mm_s", "acceleration_mm_s2"}
 _SQUARES = {"covariance_mm2", "velocity_covariance", "acceleration_covariance"}
-# points for shares, and for cameras that see a pixel's part of the box, and those in a block of
-# pixels on average
-_FOR_SHARES, _FOR_VIEWS, _EACH = 140_000, 400_000, 16
+_POINTS, _EACH = 140_000, 16  # in the box, and in a block of pixels on average
 _LONELY = 0.05  # of a pixel's part of the box, which few cameras see
 # powers of the root of x^4 = x + 1: points that fill a cube evenly (M. Roberts, The unreasonable
 # effectiveness of quasirandom sequences, 2018)
@@ -56,13 +55,9 @@ def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
 
     Return them and the widths.
     """
-    import cv2  # takes long to load
-
     missing = np.sqrt(np.maximum(_NARROWEST**2 - sigma**2, 0.0))
-    blurred = images.copy()
-    for image, (across, down) in zip(blurred, missing, strict=True):
-        if across > 0.0 or down > 0.0:
-            cv2.GaussianBlur(image, (0, 0), max(across, _ANY), dst=image, sigmaY=max(down, _ANY))
+    each = zip(images, missing, strict=True)
+    blurred = np.stack([gaussian_filter(image, (down, across)) for image, (across, down) in each])
     return blurred, np.maximum(sigma, _NARROWEST)
 
 
@@ -308,9 +303,9 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
     import cv2  # takes long to load
 
     out = np.zeros((len(maps.coefficients), *shape))
-    for block, share in zip(_blocks(maps, shape, _FOR_SHARES), out, strict=True):
+    for block, share in zip(_blocks(maps, shape), out, strict=True):
         counts = np.bincount(block.of[block.shown], minlength=block.rows * block.columns)
-        blocks = counts.reshape(block.rows, block.columns) / (_FOR_SHARES * block.edge**2)
+        blocks = counts.reshape(block.rows, block.columns) / (_POINTS * block.edge**2)
         size = block.columns * block.edge, block.rows * block.edge
         fine = cv2.resize(blocks, size, interpolation=cv2.INTER_LINEAR)
         share[:] = fine[: shape[0], : shape[1]]
@@ -322,7 +317,7 @@ def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -
 
     Pixels that show no part of the box are marked, too.
     """
-    blocks = list(_blocks(maps, shape, _FOR_VIEWS))
+    blocks = list(_blocks(maps, shape))
     lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
     out = np.zeros((len(blocks), *shape), dtype=np.bool_)
     for block, marked in zip(blocks, out, strict=True):
@@ -345,10 +340,10 @@ class _Blocks(NamedTuple):
     shown: Bool
 
 
-def _blocks(maps: VolumePolynomials, shape: tuple[int, ...], count: int) -> Iterator[_Blocks]:
-    """Find the blocks of each camera's pixels that hold `count` points in the box."""
-    points = 2.0 * ((np.arange(count)[:, None] * _STEP) % 1.0) - 1.0
-    edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / count))
+def _blocks(maps: VolumePolynomials, shape: tuple[int, ...]) -> Iterator[_Blocks]:
+    """Find the blocks of each camera's pixels that hold points in the box."""
+    points = 2.0 * ((np.arange(_POINTS)[:, None] * _STEP) % 1.0) - 1.0
+    edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / _POINTS))
     rows, columns = (math.ceil(size / edge) for size in shape)
     for camera in range(len(maps.coefficients)):
         pixels = project_points(maps, camera, points)

@@ -38,16 +38,14 @@ _SOLVED = 0.85  # of links: as many are right if few particles are ghosts
 CONFIRMED = 4  # frames in which a real particle was seen
 _GAP = 1  # frames in a row that a track may miss
 _NEAR = 9.0  # sum of squared misses over the expected ones of what continues a track
-_FEW = 6  # particles that may continue a track
 _LEAST = 0.1  # of a position's error: the least that accelerations move a particle in an interval
 _KNOWN = 2.0  # largest error of a position, over that of a detected one
 
 # Velocity of the flow:
 _NEAREST = 60  # links that vote
-_FRAMES = 2.6  # longest time between a link and where its vote counts, over that between frames
 _WIDTH = 0.15  # scatter of right votes in an interval, over the distance between particles
 _LEAST_SPREAD = 0.2  # of that scatter: the least of a velocity
-_SHIFTS, _FITS = 5, 3
+_FITS = 4  # of the densest velocity, and of its gradient
 _EVEN = 1e-3, 0.5  # weights of the prior of velocity and its gradient, in votes
 _PORTION = 4096  # positions in one step, for the memory
 
@@ -132,7 +130,7 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
     spacing : distance between particles, mm.
     """
     votes = collect_votes([frame.position for frame in frames], [frame.time for frame in frames])
-    flow = [estimate_velocity(votes, frame.position, frame.time, spacing) for frame in frames]
+    flow = [estimate_velocity(votes, frame.position, spacing) for frame in frames]
     least = _LEAST * float(np.sqrt(frames[0].variance.min())) / votes.interval**2
     tracks = kalman_tracks.start_tracks(frames[0].position, flow[0][0], votes.longest, least)
     motion = tracks.acceleration, tracks.jerk
@@ -176,7 +174,7 @@ def _number_tracks(
         if len(tracks.number):
             tracks.predict(frame.time - last)
             every = np.arange(len(tracks.number))
-            rows, hits = tracks.pair(every, frame.position, frame.variance, _FEW, _NEAR)
+            rows, hits = tracks.pair(every, frame.position, frame.variance, NEIGHBOURS, _NEAR)
             number[hits] = tracks.number[rows]
             tracks.update(rows, frame.position[hits], frame.variance[hits], frame.light[hits])
             tracks.acceleration, tracks.jerk = motion
@@ -195,13 +193,12 @@ class LinkVotes(NamedTuple):
 
     Attributes
     ----------
-    position, velocity, time : middle (n, 3) of each, mm, velocity (n, 3), mm/s, and time (n,), s.
+    position, velocity : middle (n, 3) of each, mm, and velocity (n, 3), mm/s.
     interval, longest : between two frames, s: the usual and the longest one.
     """
 
     position: F64
     velocity: F64
-    time: F64
     interval: float
     longest: float
 
@@ -213,25 +210,18 @@ def collect_votes(position: Sequence[F64], times_s: Sequence[float]) -> LinkVote
         numbers = link([early, late], [np.ones(len(early)), np.ones(len(late))], [start, end])
         _, i, j = np.intersect1d(numbers[0], numbers[1], return_indices=True)
         middle, shift = (early[i] + late[j]) / 2.0, late[j] - early[i]
-        time = np.full(len(i), (start + end) / 2.0)
-        votes.append((middle, shift / (end - start), time))
-    places, velocities, times = (np.concatenate(parts) for parts in zip(*votes, strict=True))
+        votes.append((middle, shift / (end - start)))
+    places, velocities = (np.concatenate(parts) for parts in zip(*votes, strict=True))
     between = np.diff(times_s)
-    return LinkVotes(places, velocities, times, float(np.median(between)), float(between.max()))
+    return LinkVotes(places, velocities, float(np.median(between)), float(between.max()))
 
 
-def estimate_velocity(
-    votes: LinkVotes, position: F64, time: float, spacing: float
-) -> tuple[F64, F64]:
-    """Estimate velocities (n, 3) at positions (n, 3), and their variances.
+def estimate_velocity(votes: LinkVotes, position: F64, spacing: float) -> tuple[F64, F64]:
+    """Estimate velocities (n, 3) at positions (n, 3), mm, and their variances.
 
-    Parameters
-    ----------
-    time : of the positions, s.
-    spacing : distance between particles, mm.
+    `spacing` is the distance between particles, mm.
     """
-    near = np.abs(votes.time - time) <= _FRAMES * votes.longest
-    place, velocity = votes.position[near], votes.velocity[near]
+    place, velocity = votes.position, votes.velocity
     if not len(place):
         return np.zeros_like(position), np.full_like(position, kalman_tracks.ANY_SPEED**2)
     count = min(_NEAREST, len(place))
@@ -252,7 +242,7 @@ def _fit(velocity: F64, away: F64, width: float) -> tuple[F64, F64]:
     apart = squares[:, :, None] + squares[:, None] - 2.0 * velocity @ velocity.transpose(0, 2, 1)
     densest = np.exp(-0.5 * apart / width**2).sum(axis=2).argmax(axis=1)
     middle = velocity[np.arange(len(velocity)), densest]
-    for _ in range(_SHIFTS):
+    for _ in range(_FITS):
         weight = _weigh(velocity - middle[:, None], width)
         middle = np.einsum("nk,nka->na", weight, velocity) / weight.sum(axis=1)[:, None]
     terms = np.concatenate([np.ones((*away.shape[:2], 1)), away], axis=2)

@@ -92,7 +92,7 @@ class ImageModel(NamedTuple):
         rows as axes. Flat ones are like discs.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light.
-    log_precision, least_precision : logarithm of its determinant, and least eigenvalue.
+    log_precision : logarithm of its determinant.
     images : (camera, row, column) float32, less black, with margins.
     weight : the same shape, 1 / variance of a pixel; 0 in margins and where it is unknown, and less
         than 0 where it is saturated: such a pixel may have that much light or more.
@@ -105,7 +105,6 @@ class ImageModel(NamedTuple):
     typical: F64
     precision: F64
     log_precision: float
-    least_precision: float
     images: F32
     weight: F32
     left: F32

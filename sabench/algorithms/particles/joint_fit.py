@@ -33,15 +33,12 @@ from sabench.utils.compiled import numba
 
 # Light:
 _LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step that is the last
-_LOW, _HIGH = -6.0, 4.0  # of the logarithms
-_SPREAD = 0.2  # squared scatter between cameras, for the first guess
 _CLIP = 0.97  # share of the particles that the covariance comes from
 _OWN = 0.05  # error of the model of images, of a particle's light
 _SHRINK = 20.0  # particles for each camera: with more, a covariance counts more than its average
 
 # Positions:
-_FARTHEST_PX = 0.5  # that a particle moves in one step
-_STILL = 1e-4  # fall of the cost that ends the steps
+FARTHEST_PX = 0.5  # that a particle, or a camera, moves in one step
 
 
 def even_covariance(cameras: int, between: float, common: float) -> F64:
@@ -75,27 +72,6 @@ def learn_covariance(logarithms: F64) -> F64:
     np.fill_diagonal(average, variance)
     weight = _SHRINK * cameras / (_SHRINK * cameras + len(off))
     return np.asarray((1.0 - weight) * covariance + weight * average + _OWN**2 * np.eye(cameras))
-
-
-@numba.njit(cache=True)
-def guess_light(signal: Any, weight: Any, typical: Any, logs: Any) -> None:
-    """Fill in logarithms (camera,) of one light that serves for all cameras.
-
-    Parameters
-    ----------
-    signal, weight : (camera,) sums of weights times image times data, and times image squared; the
-        data give light = signal / weight where the weight is not 0.
-    typical : (camera,) a typical particle's light.
-    """
-    above, below = 0.0, 0.0
-    for c in range(len(logs)):
-        if weight[c] > 0.0:
-            variance = 1.0 / weight[c] + _SPREAD * typical[c] ** 2
-            above += signal[c] / weight[c] * typical[c] / variance
-            below += typical[c] ** 2 / variance
-    common = math.log(min(max(above / below, 0.05), 5.0)) if below > 0.0 else 0.0
-    for c in range(len(logs)):
-        logs[c] = common
 
 
 @numba.njit(cache=True)
@@ -137,7 +113,7 @@ def find_light(
             largest = max(largest, abs(slope[c]))
         share = min(1.0, 1.0 / max(largest, 1e-300))
         for c in range(cameras):
-            logs[c] = min(max(logs[c] - share * slope[c], _LOW), _HIGH)
+            logs[c] -= share * slope[c]
         if largest < _LIGHT_STILL:
             break
     return float(light_cost(signal, weight, typical, precision, logs))
@@ -270,28 +246,6 @@ def solve_three(matrix: Any, right: Any, step: Any) -> float:
 
 
 @numba.njit(cache=True)
-def _fits_already(model: Any, room: Any, light: Any) -> bool:
-    """Return whether no step of position or light would lower the cost notably.
-
-    After `_normal_equations`, with the position's step in `room.trial`. The prior of light bends
-    the cost at least as much as in its widest direction.
-    """
-    fall = 0.0
-    for p in range(3):
-        fall += 0.5 * room.trial[p] * room.right[p]
-    for c in range(len(light)):
-        room.logs[c] = math.log(light[c] / model.typical[c])
-    for c in range(len(light)):
-        pull = 0.0
-        for k in range(len(light)):
-            pull += model.precision[c, k] * room.logs[k]
-        square = light[c] * light[c] * room.weight[c]
-        slope = pull + square - light[c] * room.signal[c]
-        fall += 0.5 * slope * slope / (square + model.least_precision)
-    return fall < _STILL
-
-
-@numba.njit(cache=True)
 def fit_particle(model: Any, room: Any, particles: Any, n: int) -> float:
     """Fit a particle to the images less all others; return the change of cost.
 
@@ -300,14 +254,12 @@ def fit_particle(model: Any, room: Any, particles: Any, n: int) -> float:
     position, light = particles.position[n], particles.light[n]
     steepest = _normal_equations(model, room, position, light)
     solved = solve_three(room.matrix, room.right, room.trial) > 0.0
-    if solved and _fits_already(model, room, light):
-        return 0.0
     before = cost_of(model, room, light)
     paint_here(model, room, light, 1.0)
     lowered, cost = False, before
     if solved:
         largest = max(abs(room.trial[0]), abs(room.trial[1]), abs(room.trial[2]))
-        share = min(1.0, _FARTHEST_PX / max(steepest * largest, 1e-300))
+        share = min(1.0, FARTHEST_PX / max(steepest * largest, 1e-300))
         for p in range(3):
             room.trial[p] = min(max(position[p] + share * room.trial[p], -1.0), 1.0)
         look(model, room, room.trial, light)
@@ -340,7 +292,7 @@ def start_light(model: Any, room: Any, particles: Any, rows: Any) -> None:
     for n in rows:
         particles.light[n] = 0.0
         look(model, room, particles.position[n], particles.light[n])
-        guess_light(room.signal, room.weight, model.typical, room.logs)
+        room.logs[:] = 0.0
         best_light(model, room, particles.light[n])
         paint_here(model, room, particles.light[n], -1.0)
 

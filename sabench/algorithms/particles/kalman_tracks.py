@@ -12,6 +12,7 @@ of a body with white-noise jerk, each with an error of its own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -24,17 +25,14 @@ from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, FROM_MAD, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
-_NEAREST = 5  # particles that give the velocities' gradient
-_WITHIN = 0.6827  # share of a normal variable's values within one standard deviation
-_ENOUGH, _FASTEST = 30, 4.0  # predictions for the jerk's strength, and its change in one update
+ENOUGH = 16  # links, or predictions, for a measurement of the motion
 _SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
 _LEAST = 1e-6  # of the first strength
 _BY_TRACK = ("number", "state", "covariance", "light", "sightings", "missed")
 ANY_SPEED = 1e6  # mm/s
 # first guesses of acceleration over velocity times velocity gradient, and of its change over itself
-# times gradient times time: those of turbulence, within a few percent for two integral lengths;
-# and the most that an acceleration changes from frame to frame
-_ACCELERATION, _CHANGE, _MOST_CHANGE = 1.4, 3.5, 1.4
+# times gradient times time: those of turbulence, within a few percent for two integral lengths
+_ACCELERATION, _CHANGE = 1.4, 3.5
 _ABSENT = 1e12  # variance of a missing position, over the largest other one
 
 
@@ -124,9 +122,9 @@ class KalmanTracks:
         off = self.off(rows, position, variance)
         last = self.missed[rows] == 1
         old, new = self.sightings[rows] >= MATURE, self.sightings[rows] == MATURE - 1
-        if (last & old).sum() >= _ENOUGH:
+        if (last & old).sum() >= ENOUGH:
             self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
-        if (last & new).sum() >= _ENOUGH:
+        if (last & new).sum() >= ENOUGH:
             self.acceleration *= _change(off[last & new])
         covariance = self.covariance[rows]
         covariance *= np.maximum(off.sum(axis=1) / _SURPRISE, 1.0)[:, None, None, None]
@@ -177,12 +175,12 @@ def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -
     An acceleration is as large as (u grad) u, of fluctuations of the velocity and their gradient,
     but at least `least`. A random jerk changes it as much in the longest time between two frames.
     """
-    distance, near = cKDTree(position).query(position, _NEAREST + 1)
+    distance, near = cKDTree(position).query(position, NEIGHBOURS + 1)
     apart = np.linalg.norm(velocity[near[:, 1:]] - velocity[:, None], axis=2)
     gradient = float(np.median(apart / np.maximum(distance[:, 1:], 1e-12)))
     fluctuation = FROM_MAD * np.median(np.abs(velocity - np.median(velocity, axis=0)), axis=0)
     acceleration = max(_ACCELERATION * gradient * float(np.sqrt(np.mean(fluctuation**2))), least)
-    change = min(_CHANGE * gradient * longest_s, _MOST_CHANGE)
+    change = min(_CHANGE * gradient * longest_s, math.sqrt(2.0))  # unrelated ones differ so much
     return KalmanTracks.start(acceleration**2, (change * acceleration) ** 2 / longest_s)
 
 
@@ -200,8 +198,7 @@ def velocity_near(position: F64, neighbours: F64, velocity: F64) -> tuple[F64, F
 
 
 def _change(off: F64) -> float:
-    ratio = float(np.quantile(off, _WITHIN))
-    return min(max(ratio, 1.0 / _FASTEST), _FASTEST)
+    return FROM_MAD**2 * float(np.median(off))
 
 
 def most_probable_motion(

@@ -27,7 +27,7 @@ from sabench.algorithms.particles.image_model import (
     place_windows,
     sum_up,
 )
-from sabench.algorithms.particles.joint_fit import learn_covariance
+from sabench.algorithms.particles.joint_fit import FARTHEST_PX, learn_covariance
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.geometry.volume_polynomials import project_points
 from sabench.images.gaussian_kernels import fill_derivatives
@@ -39,7 +39,6 @@ from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, 
 
 _FEW = 30  # too few particles to represent all
 _STEPS = 2  # of a fit of the cameras' shifts or shapes
-_FARTHEST_PX = 0.5  # the longest step of a shift
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _TILT_CHANGE = 0.2  # of tilts, at first and over the box
 _TILTED = 0.2  # correlation somewhere in the box that loses particles
@@ -52,7 +51,6 @@ _SHAPE_ERRORS = np.array(
 _LONGEST = 0.25  # of these errors: a step; with whole ones, realistic images have more ghosts
 
 # Variance of pixels:
-_CLIP = 30.0  # mean squares: largest contribution of a pixel
 _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
@@ -149,7 +147,7 @@ def align_cameras(search: ParticleSearch) -> None:
         solvable = np.linalg.det(matrix) > 0.0  # cameras that see some particles
         right = np.stack([x, y], axis=1)[solvable, :, None]
         shifts[solvable] = np.linalg.solve(matrix[solvable], right)[:, :, 0]
-        search.maps.coefficients[:, 0] += np.clip(shifts, -_FARTHEST_PX, _FARTHEST_PX)
+        search.maps.coefficients[:, 0] += np.clip(shifts, -FARTHEST_PX, FARTHEST_PX)
         search.subtract_all()
         search.refine(1)
 
@@ -176,21 +174,15 @@ def fill_variance(
     model and of what is left. All arrays are (row, column), `dark` is a variance.
     """
     rows, columns = image.shape
-    squares, count = 0.0, 0
-    for i in range(rows):
-        for j in range(columns):
-            if valid[i, j]:
-                squares += _miss(left[i, j], saturated[i, j]) ** 2
-                count += 1
-    clip = _CLIP * squares / max(count, 1)
-    x = y = xx = xy = 0.0
+    count = x = y = xx = xy = 0.0
     for i in range(rows):
         for j in range(columns):
             if valid[i, j]:
                 light = _modelled(image[i, j], left[i, j])
-                square = min(_miss(left[i, j], saturated[i, j]) ** 2, clip)
-                x, y, xx, xy = x + light, y + square, xx + light * light, xy + light * square
-    even, slope = fit_line(float(count), x, y, xx, xy)
+                square = _miss(left[i, j], saturated[i, j]) ** 2
+                count, x, y = count + 1.0, x + light, y + square
+                xx, xy = xx + light * light, xy + light * square
+    even, slope = fit_line(count, x, y, xx, xy)
     even, slope = max(even, dark), max(slope, 0.0)
     for i in range(rows):
         for j in range(columns):

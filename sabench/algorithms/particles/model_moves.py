@@ -37,21 +37,17 @@ from sabench.algorithms.particles.joint_fit import cost_of, fit_particle, penalt
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 
 # Removals:
-_NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera
 _SURE = 4.0  # times its penalty: a particle that gains so much is not tried again
-_CERTAIN = 2.0  # times its penalty: gained alone, it needs no trial
-_SHARED = 0.1  # of a particle's light in a pixel: more from others, and they may take it over
 
 # Splits:
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
-_DOUBTFUL = 2  # of them, then a split without a gain is given up
 
 
 def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
@@ -90,17 +86,15 @@ def remove_ghosts(
         that it is real; trials end where they are high enough.
     """
     cameras = particles.light.shape[1]
-    positions, lights = np.zeros((_NEIGHBOURS, 3)), np.zeros((_NEIGHBOURS, cameras))
-    image, removed = np.zeros((room.window, room.window), dtype=np.float32), 0
+    most = 0
+    for n in order:
+        most = max(most, starts[n + 1] - starts[n])
+    positions, lights = np.zeros((most, 3)), np.zeros((most, cameras))
+    removed = 0
     for n in order:
         position, light = particles.position[n], particles.light[n]
         least = penalty(model, room, position, light)
-        alone = _gain_alone(model, room, light, image)
-        if alone > _CERTAIN * least:
-            sure[n], odds[n] = True, alone - least
-            continue
-        first, last = starts[n], min(starts[n + 1], starts[n] + _NEIGHBOURS)
-        neighbours = near[first:last]
+        neighbours = near[starts[n] : starts[n + 1]]
         for k in range(len(neighbours)):
             _keep(particles, neighbours[k], positions[k], lights[k])
         take_out(model, room, position, light)
@@ -148,68 +142,6 @@ def _put_back(
             take_out(model, room, particles.position[j], particles.light[j])
             _put(particles, j, positions[k], lights[k])
             put_in(model, room, positions[k], lights[k])
-
-
-@numba.njit(cache=True)
-def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
-    """Compute the least that a particle gains, after `penalty`.
-
-    It is the gain in pixels where others leave hardly any light, without that of its best
-    camera, and less the cost of its light's prior.
-    """
-    most, total, prior = 0.0, 0.0, 0.0
-    for c in range(len(light)):
-        room.logs[c] = math.log(light[c] / model.typical[c])
-    for c in range(len(light)):
-        fill_image(model, room, c, image)
-        gained = _gain_in(
-            model.images[c], model.left[c], model.weight[c], image, room.corner[c], light[c]
-        )
-        most, total = max(most, gained), total + max(gained, 0.0)
-        for k in range(len(light)):
-            prior += 0.5 * room.logs[c] * model.precision[c, k] * room.logs[k]
-    return float(total - most - prior)
-
-
-@numba.njit(cache=True)
-def _gain_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light: float) -> float:
-    gained = 0.0
-    for i in range(len(share)):
-        for j in range(len(share)):
-            row, column, amount = corner[1] + i, corner[0] + j, light * share[i, j]
-            if image[row, column] - left[row, column] - amount <= _SHARED * amount:
-                gained += _saved(weights[row, column], left[row, column], amount)
-    return gained
-
-
-@numba.njit(cache=True)
-def _saved(weight: Any, left: Any, amount: float) -> float:
-    without, rest = left + amount, left
-    if weight < 0.0:  # saturated: more light than it shows adds no cost
-        weight, without, rest = -weight, max(without, 0.0), max(left, 0.0)
-    return float(0.5 * weight * (without * without - rest * rest))
-
-
-def count_meetings(
-    maps: VolumePolynomials, sigma: F64, positions: F64, chosen: Bool, starts: I64, near: I64
-) -> I64:
-    """Count (n,) the cameras where images of chosen neighbours (n,) are near."""
-    pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
-    counts = np.zeros(len(positions), dtype=np.int64)
-    _count_meetings(np.stack(pixels), _NEAR * sigma.max(axis=1), chosen, starts, near, counts)
-    return counts
-
-
-@numba.njit(cache=True)
-def _count_meetings(
-    pixels: Any, reach: Any, chosen: Any, starts: Any, near: Any, counts: Any
-) -> None:
-    for n in range(len(counts)):
-        for k in near[starts[n] : starts[n + 1]]:
-            if chosen[k]:
-                for c in range(len(pixels)):
-                    x, y = pixels[c, n] - pixels[c, k]
-                    counts[n] += x * x + y * y <= reach[c] * reach[c]
 
 
 @numba.njit(cache=True)
@@ -391,9 +323,7 @@ def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: An
         look(model, room, particles.position[k], particles.light[k])
         cost += cost_of(model, room, particles.light[k])
         put_in(model, room, particles.position[k], particles.light[k])
-    for fit in range(_SETTLE):
+    for _ in range(_SETTLE):
         cost += fit_particle(model, room, particles, n)
         cost += fit_particle(model, room, particles, new)
-        if fit == _DOUBTFUL and cost > 0.0:
-            break
     return float(cost)

@@ -22,8 +22,7 @@ import numpy as np
 from sabench.algorithms.particles.all_particles import light_gains, paint_particles
 from sabench.algorithms.particles.candidate_search import FEWEST, shared_views
 from sabench.algorithms.particles.image_model import without_margins
-from sabench.algorithms.particles.joint_fit import scatter_between
-from sabench.algorithms.particles.particle_search import MOST_TILT, ParticleSearch
+from sabench.algorithms.particles.particle_search import FLOORS, MOST_TILT, ParticleSearch
 from sabench.images.background import ClearImages
 from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, FROM_MAD, Bool
@@ -37,17 +36,14 @@ _DARK = 0.05  # of the light that is expected there
 _THIN = 0.75  # of the mean number of particles in a window: too few to decide
 
 # Partly hidden particles:
-_HIDDEN_SHARE = 0.1  # of the particles: expected to be hidden from a camera, and from each more
 _SOME = 3e-4  # of the particles: fewer that a set of cameras hides are no reason to try larger ones
-_DEEPEST, _TRIED = 4, 100  # cameras that may be blind, and sets of each number that are tried
-_FLOORS = (0.35, 0.2)  # of candidates' light over a typical particle's
+_TRIED = 100  # sets of so many blind cameras, the most promising ones
 _DENIED = -10.0  # decrease of the cost by a particle's light in a camera that does not see it
 
 # Cameras that contradict the others:
 _MANY = 50  # particles for a measurement of their images
 _LEFT = 0.1  # of the squared light of an image: more that is left has a reason
 _CHANCE = 1.0  # over the square root of the particles' number: share that few leave by chance
-_SCATTER, _LITTLE = 0.7, 0.03  # of light between cameras; with less left, it is particles' own
 _CLEAR = 6.0  # standard deviations of noise: light
 _WORST = 2.0  # times the median camera's: what a camera leaves that contradicts the others
 
@@ -155,7 +151,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
     hidden: dict[_Cameras, int] = {(): 1}  # how many particles sets of cameras hide
     number = len(search.typical)
     cameras = np.arange(number)
-    most = min((number + 1) // 3, number - FEWEST, _DEEPEST)
+    most = min((number + 1) // 3, number - FEWEST)
     for _ in range(most):
         before, hidden = hidden, {}
         for blind in _promising(number, before):
@@ -201,7 +197,7 @@ def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
 
 
 def _find(part: ParticleSearch) -> bool:
-    for floor in _FLOORS:
+    for floor in FLOORS:
         part.find(floor)
         part.refine(part.fits)
         part.remove(lone=True)
@@ -272,10 +268,9 @@ def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
 
 
 def explains(search: ParticleSearch) -> bool:
-    """Return whether the particles explain the images, with plausible light."""
+    """Return whether the particles explain the images."""
     left = float(left_of_images(search).max())
-    most = _LEFT + _CHANCE / math.sqrt(max(len(search.position), 1))
-    return left < _LITTLE or (left < most and scatter_between(search.covariance) < _SCATTER)
+    return left < _LEFT + _CHANCE / math.sqrt(max(len(search.position), 1))
 
 
 def left_of_images(search: ParticleSearch) -> F64:
@@ -292,7 +287,7 @@ def left_of_images(search: ParticleSearch) -> F64:
             [float((off > FROM_MAD * _CLEAR * np.median(np.abs(off))).any()) for off in away]
         )
     shares = _left_where(search, search.known)
-    if shares.max() < _LITTLE:
+    if shares.max() < _LEFT:
         return shares
     shape = search.images.shape[1:]
     return _left_where(search, search.known & shared_views(search.maps, shape, FEWEST))

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.special import expit
 
 from sabench.algorithms.particles import all_particles, candidate_search, joint_fit, model_moves
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
@@ -33,17 +34,15 @@ from sabench.images.widths import PIXEL, ImageStatistics, peak_brightness
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.threads import Deadline, for_each
 
-_BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
 MOST_TILT = 0.7  # correlation of columns and rows in images: more is not two terms' Gaussian
-_CERTAIN = 30.0  # logarithm of the highest odds
 _PORTIONS = 8  # of many rows, in their order: the first are fitted before the next
+FLOORS = (0.2, 0.06)  # of candidates' mean light, over a typical particle's: first and last
 _FLOOR = 1.1  # standard deviations of noise: the least floor of candidates
 _MANY, _FIRST = 16.0, 2.5  # of the estimated number: first candidates, times cameras, and least
 _MORE = 0.5  # of the particles so far: new candidates
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
-_CONTESTED = 0.25  # of the cameras: meetings with others that have just gained their penalty
 _TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
 # units of the cost, and times the median particle's predicted gain (images that are a little wider
 # than the model's predict one everywhere): particles with a larger predicted gain are tried
@@ -186,13 +185,12 @@ class ParticleSearch:
         light[:, self.shown] = self.light
         position = points_in_mm(self.maps, self.position)
         errors = claimed_covariances(self.model(), self.widest, self.particles(), self.noise)
-        probability = 1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN)))
         return FoundParticles(
             position,
             brightness.mean(axis=1),
             light=light,
             covariance_mm2=errors,
-            probability=probability,
+            probability=expit(self.odds),
         )
 
     def put(self, position: F64, light: F64, tag: I64) -> None:
@@ -200,7 +198,7 @@ class ParticleSearch:
         first = len(self.position)
         self.append(len(position), 1.0)
         self.position[first:], self.light[first:], self.tag[first:] = position, light, tag
-        self.odds[first:] = _CERTAIN
+        self.odds[first:] = np.inf
         self.subtract_all()
 
     def miss(self, camera: int) -> F32:
@@ -220,9 +218,9 @@ class ParticleSearch:
         for_each(fill, len(weight))
         cameras = self.maps, self.shapes, self.typical, precision
         determinant = float(np.linalg.slogdet(precision)[1])
-        least = float(np.linalg.eigvalsh(precision)[0])
-        images, log_rate = (self.framed, weight, self.framed_left), math.log(self.number / _BOX)
-        return ImageModel(*cameras, determinant, least, *images, log_rate)
+        images = self.framed, weight, self.framed_left
+        log_rate = math.log(self.number) - 3.0 * math.log(2.0)  # the box is from -1 to 1
+        return ImageModel(*cameras, determinant, *images, log_rate)
 
     def particles(self) -> ModelParticles:
         """Make the kernels' view of the particles, all alive."""
@@ -363,26 +361,19 @@ class ParticleSearch:
         """Remove particles that gain less than their penalty, the darkest first.
 
         All are fitted before, or what neighbours gain by their own fits would count against a
-        particle that is taken out. Those that gain several times their penalty are tried again only
-        if others that newly do so meet them in several cameras, and share what they gain.
+        particle that is taken out. Those that gain several times their penalty are not tried again.
         """
         self.refine(self.fits)
         starts, near = model_moves.find_neighbours(self.maps, self.sigma, self.position)
         particles, model = self.particles(), self.model()
-        tried = ~self.sure & ~self.trusted
 
         def remove(rows: I64) -> None:
             each = self.room, particles, rows, starts, near
             model_moves.remove_ghosts(model, *each, _TRIAL_FITS, lone, self.sure, self.odds)
 
-        for _ in range(2):
-            rows = np.flatnonzero(tried)
-            order = rows[np.argsort(self.common_light()[rows], kind="stable")]
-            self._work(remove, self._turns(order, (starts, near)))
-            promoted = tried & self.sure & particles.alive
-            where = self.maps, self.sigma, self.position
-            meetings = model_moves.count_meetings(*where, promoted, starts, near)
-            tried = ~tried & ~self.trusted & (meetings >= _CONTESTED * len(self.sigma))
+        rows = np.flatnonzero(~self.sure & ~self.trusted)
+        order = rows[np.argsort(self.common_light()[rows], kind="stable")]
+        self._work(remove, self._turns(order, (starts, near)))
         self.select(particles.alive)
         self.refine(1)
 

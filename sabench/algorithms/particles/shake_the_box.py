@@ -7,7 +7,7 @@ Model. Along each axis a particle has position, velocity and acceleration s = (x
 white-noise jerk of power J changes: after an interval d, s becomes F s and its covariance P
 becomes F P F' + J Q, with F and Q of d alone (`kalman_tracks`). A position found in the images has
 the variance R that they give it. A miss has the expected square P_xx + R: J, and the variance of a
-new track's acceleration, are those for which 68 % of misses are within it.
+new track's acceleration, are those with which the median miss is as expected.
 
 Prior. A new track has the median velocity of its neighbours and their variance; one that begins
 with a link has the link's. First accelerations are those of turbulence, of the order of (u grad) u.
@@ -44,6 +44,7 @@ from sabench.algorithms.particles.dense_start import (
     search_window,
 )
 from sabench.algorithms.particles.kalman_tracks import (
+    ENOUGH,
     MATURE,
     KalmanTracks,
     TrackedFrame,
@@ -52,23 +53,19 @@ from sabench.algorithms.particles.kalman_tracks import (
     with_motion,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
-from sabench.algorithms.particles.linking import GATE, link
+from sabench.algorithms.particles.linking import GATE, NEIGHBOURS, link
 from sabench.algorithms.particles.obstacles import hide_unseen
-from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.algorithms.particles.particle_search import FLOORS, ParticleSearch
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64
 from sabench.utils.threads import Deadline
 
-_SHAKES = 3  # rounds of fits of the predicted particles before others are looked for
 _SLACK = 0.04  # of the distance between particles: misses of the same one, added to those expected
 _KNOWN_PX = 1.0  # largest standard deviation of a prediction that is fitted
 _FADED = 0.5  # light over the last light below which a particle may be a ghost
-_LEAST_ERROR_PX = 0.02  # of positions, added to those from the images
 _LAG = 3  # frames before and after one for its particles' motion
 _NEAR = 3.0  # standard deviations from the box's faces within which a particle may come or go
-_NEIGHBOURS = 5  # particles that a lost track is compared with
-_FEWEST = 16  # links for a measurement of the motion
 
 
 @dataclass(frozen=True)
@@ -211,9 +208,6 @@ class _Tracker:
         self.born += len(numbers)
         return TrackedFrame(time, particles, numbers, np.ones(len(numbers), dtype=np.bool_))
 
-    def _variance(self, frame: TrackedFrame) -> F64:
-        return frame.variance + (_LEAST_ERROR_PX * candidate_search.pixel_mm(self.maps)) ** 2
-
     def _link_first(
         self, light: F64, first: TrackedFrame, second: TrackedFrame
     ) -> KalmanTracks | None:
@@ -221,14 +215,14 @@ class _Tracker:
         sizes = [np.ones(len(position)) for position in positions]
         earlier, later = link(positions, sizes, [first.time, second.time])
         _, i, j = np.intersect1d(earlier, later, return_indices=True)
-        if len(i) < _FEWEST:
+        if len(i) < ENOUGH:
             return None
         self.doubtful = are_mostly_wrong(first.position[i], second.position[j] - first.position[i])
         duration = second.time - first.time
-        variance = self._variance(first)
+        variance = first.variance
         velocity = (second.position[j] - first.position[i]) / duration
         # particles may stand still
-        least = _LEAST_ERROR_PX * candidate_search.pixel_mm(self.maps) / duration
+        least = float(np.sqrt(np.median(variance))) / duration
         tracks = start_tracks(first.position[i], velocity, self.longest_s, least / duration)
         errors = 2.0 * variance[i] / duration**2 + tracks.acceleration * duration**2
         position = first.position[i]
@@ -242,7 +236,7 @@ class _Tracker:
         self, tracks: KalmanTracks, frame: TrackedFrame, rows: I64, light: F64
     ) -> None:
         if len(rows):
-            position, variance = frame.position[rows], self._variance(frame)[rows]
+            position, variance = frame.position[rows], frame.variance[rows]
             velocity, spread = tracks.neighbours_velocity(position)
             tracks.add(frame.number[rows], position, variance, light[rows], velocity, spread, 1)
 
@@ -252,7 +246,7 @@ class _Tracker:
         tracks.predict(time - self.frames[-1].time)
         self._shake(case, tracks, search)
         frame = self._write(search, time)
-        variance = self._variance(frame)
+        variance = frame.variance
         self.frames.append(frame)
         row = self._recognise(tracks, search, frame.position, variance)
         hits = np.flatnonzero(row >= 0)
@@ -279,14 +273,14 @@ class _Tracker:
             self.shares = candidate_search.volume_shares(self.maps, clear.images.shape[1:])
         hide_unseen(search, clear, self.shares, before)
         weigh_pixels(search, bayesian_ipr.CAPS[0])
-        search.refine(_SHAKES)
+        search.refine(search.fits)
         weigh_pixels(search, bayesian_ipr.CAPS[1])
-        search.refine(_SHAKES)
+        search.refine(search.fits)
         bright = search.light.sum(axis=1) > _FADED * tracks.light[search.tag].sum(axis=1)
         search.trusted = bright & (tracks.sightings[search.tag] >= MATURE)
         search.remove(lone=True)
         for number in range(settings.searches):
-            search.find(bayesian_ipr.FLOORS[min(number, 1)])
+            search.find(FLOORS[min(number, 1)])
             search.refine(search.fits)
             weigh_pixels(search, bayesian_ipr.CAPS[1])
             search.remove(lone=True)
@@ -307,7 +301,7 @@ class _Tracker:
         row[tagged[off.sum(axis=1) > GATE]] = -1
         lost = np.setdiff1d(np.arange(len(tracks.number)), row)
         new = np.flatnonzero(row < 0)
-        again, j = tracks.pair(lost, position[new], variance[new] + slack, _NEIGHBOURS, GATE)
+        again, j = tracks.pair(lost, position[new], variance[new] + slack, NEIGHBOURS, GATE)
         row[new[j]] = again
         return row
 

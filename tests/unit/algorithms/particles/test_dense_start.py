@@ -71,7 +71,7 @@ def test_velocities_come_from_wrong_links(
     votes = dense_start.collect_votes([f.position for f in frames], [f.time for f in frames])
     wrong = np.linalg.norm(votes.velocity - velocity_of(votes.position), axis=1) > 0.5 * SPEED
     assert wrong.mean() > 0.4
-    velocity, variance = dense_start.estimate_velocity(votes, truth[2], float(TIMES[2]), DISTANCE)
+    velocity, variance = dense_start.estimate_velocity(votes, truth[2], DISTANCE)
     assert np.median(np.linalg.norm(velocity - velocity_of(truth[2]), axis=1)) < 0.2 * SPEED
     assert (variance > 0.0).all()
 

@@ -147,7 +147,6 @@ MEDIANS = np.array([100.0, 120.0, 80.0, 100.0])
 
 def best(signal: F64, weight: F64, precision: F64) -> tuple[F64, float]:
     logs = np.zeros(4)
-    joint_fit.guess_light(signal, weight, MEDIANS, logs)
     cost = joint_fit.find_light(
         signal, weight, MEDIANS, precision, logs, np.zeros(4), np.zeros((4, 4))
     )

@@ -114,7 +114,6 @@ def test_light_in_one_camera_alone_is_no_particle(maps: Maps) -> None:
 
 @pytest.mark.slow
 def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(maps: Maps) -> None:
-    """Light is a particle's own only where others leave none: it is sure without a trial."""
     size, light = pixel_mm(maps) / maps.half_mm, even_light(2)
     for apart, expected in ((0.0, 1), (6.0, 0)):
         pair = apart * size * np.array([[0.5, 0.5, 0.0], [-0.5, -0.5, 0.0]])
@@ -141,17 +140,6 @@ def test_true_particles_stay_and_nothing_moves(maps: Maps) -> None:
     assert_array_equal(particles.position, points)
     assert_array_equal(particles.light, light)
     assert_allclose(model.left, left, atol=1e-3)
-
-
-def test_meetings_with_chosen_particles_are_counted(maps: Maps) -> None:
-    """A particle meets one at its side in all cameras, and each of four others in one."""
-    ghost, size = np.array([0.05, -0.1, 0.1]), pixel_mm(maps) / maps.half_mm
-    beside = ghost + size * np.array([1.0, 0.0, 0.0])
-    points = np.vstack([ghost, beside, crossing(maps, ghost)])
-    starts, near = model_moves.find_neighbours(maps, WIDTHS, points)
-    for chosen, expected in (([1], 4), ([2], 1), ([2, 4, 5], 3), ([1, 3], 5), ([0], 0)):
-        marked = np.isin(np.arange(6), chosen)
-        assert model_moves.count_meetings(maps, WIDTHS, points, marked, starts, near)[0] == expected
 
 
 @pytest.mark.slow
