@@ -11,11 +11,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from sabench.utils.arrays import LARGEST
 from sabench.utils.errors import InputError
-
-LARGEST_VALUE = (
-    1e12  # no length, velocity or angle is beyond it, and its square still has many digits
-)
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class Array:
     optional: bool = False
     unique: bool = False
     finite: bool = True
-    largest: float = LARGEST_VALUE
+    largest: float = LARGEST
     stored: str = ""
     file_dtype: type[np.generic] | None = None
     packed: bool = False
