@@ -12,11 +12,11 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import MANIFEST
 from sabench.images import statistics
 from sabench.images.statistics import read_recordings
+from sabench.metrics.reprojection import FARTHEST_PX
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
-_REACH_PX = 1.0  # largest distance of a peak from its particle's projection
 _APART_PX = 4.0  # nearer peaks and particles leave a particle out
 
 Matched = Literal["true positions", "triangulated positions"]
@@ -144,7 +144,7 @@ def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
                 statistics.flux_near(
                     statistics.fit_particle_images(image, _white(dataset, number)),
                     pixels,
-                    _REACH_PX,
+                    FARTHEST_PX,
                     _APART_PX,
                 )
                 for number, (image, pixels) in enumerate(zip(images, sightings, strict=True))

@@ -17,8 +17,8 @@ _MONTAGE_PX = 900  # widest mosaic
 _CELLS = 12  # along the longer side of an image
 _GAP_PX = 5  # between two cameras
 _GAP_GREY = 200  # stands out from sparse and from crowded images
-_GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
-_BRIGHTEST = 99.9  # percentile shown as white
+GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
+BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
 _ENLARGED_PX = 400  # side of a slice's image
@@ -49,8 +49,8 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
     """
     small, across = _shrink("montage", images)
     least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
-    top = min(white_dn, max(least, float(np.percentile(small, _BRIGHTEST))))
-    return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, _GAMMA), across))
+    top = min(white_dn, max(least, float(np.percentile(small, BRIGHTEST))))
+    return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, GAMMA), across))
 
 
 def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
@@ -163,7 +163,7 @@ def _window(part: F32) -> F64:
 
 def _top(window: F64) -> float:
     # a few isolated particles can fill less than 0.1 %
-    return float(np.percentile(window, _BRIGHTEST)) or float(window.max())
+    return float(np.percentile(window, BRIGHTEST)) or float(window.max())
 
 
 def _enlarge(pixels: U8, size_px: int = _ENLARGED_PX) -> U8:
@@ -181,7 +181,7 @@ def read_picture(dark: Bool, right: Bool) -> bytes:
     return _png(_enlarge(np.where(right[..., None], truth, wrong).astype(np.uint8)))
 
 
-def grey_picture(values: F64, size_px: int) -> bytes:
+def grey_picture(values: F64, size_px: int = _ENLARGED_PX) -> bytes:
     """Draw a plane (rows, columns), enlarged to about `size_px`, as a PNG.
 
     Grey values extend from its 1st to its 99th percentile; each value is a block of whole pixels.
