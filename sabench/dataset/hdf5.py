@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from sabench.utils import memory
 from sabench.utils.errors import InputError
+from sabench.utils.files import LARGEST_DATA
 
 # filters that a data set may have, in this order, and the bit of each
 _FILTERS = ((), (h5py.h5z.FILTER_DEFLATE,), (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE))
@@ -101,10 +102,7 @@ def _deflated(filters: tuple[int, ...], chunk: Any) -> bool:
 
 
 _LONGEST = 1 << 20  # characters of an attribute
-_MOST_NAMES = 100_000  # members of a group
 _SMALL = 1 << 26  # bytes that may be read without a check of their cost
-# of a data set whose length the file itself sets: 80 million particles
-_OPEN_BYTES = 2_000_000_000
 _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 
 
@@ -246,9 +244,9 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
             f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need "
             f"{2.0 * size / 1e6:.0f} MB"
         )
-    if is_open and size > _OPEN_BYTES:
+    if is_open and size > LARGEST_DATA:
         raise InputError(
-            f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of "
+            f"{where}: expected at most {LARGEST_DATA / 1e6:.0f} MB of values, got {node.shape} of "
             f"{node.dtype}"
         )
     if is_open and size > _SMALL and size > _DENSEST * stored:
@@ -314,10 +312,6 @@ def names_in(file: Any, group: str) -> set[str]:
         node = node[part] if isinstance(link, h5py.HardLink) else None
         if not isinstance(node, h5py.Group):
             return set()
-    if len(node) > _MOST_NAMES:
-        raise InputError(
-            f"{file.filename}: {group}: expected at most {_MOST_NAMES} members, got {len(node)}"
-        )
     return set(node)
 
 

@@ -110,7 +110,7 @@ def _validator(model: str) -> TypeAdapter[Any]:
 
 
 def check_largest(value: Any, where: str) -> None:
-    """Raise an InputError for a number in tables and lists that is not finite, or too large."""
+    """Refuse a number in tables and lists that is not finite or too large."""
     if bad := _extreme(value):
         raise InputError(
             f"{where}: {bad[0]}: expected finite numbers of at most {LARGEST:g}, got "

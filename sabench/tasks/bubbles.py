@@ -26,6 +26,7 @@ from sabench.plotting.drawing import Circles, Discs, Figure, Panel
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (
+    ALIKE,
     SHARE,
     Captions,
     Figures,
@@ -96,8 +97,7 @@ JET = {
     "width_percent": "width",
 }
 _WRONG_ROTATION = rotation_matrices(np.array([0.1, -0.2, 0.05]))
-# share of the bubbles found with the cameras in another order, and how near, in radii
-_ALIKE, _NEAR_RADII = 0.8, 0.5
+_NEAR_RADII = 0.5  # distance of a bubble found with the cameras in another order
 
 
 class BubblesTask(FrameByFrame):
@@ -254,7 +254,7 @@ class BubblesTask(FrameByFrame):
 
     def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
         """Compare bubbles by the share detected in both."""
-        return share_near(one.center_mm, other.center_mm, _NEAR_RADII * one.radius_mm) >= _ALIKE
+        return share_near(one.center_mm, other.center_mm, _NEAR_RADII * one.radius_mm) >= ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the bubbles of the first frame, front and side view, as a PNG."""

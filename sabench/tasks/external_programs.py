@@ -26,8 +26,6 @@ from sabench.utils.processes.program import ProgramLimits, run_limited
 from sabench.utils.progress import console
 from sabench.utils.validation import printable
 
-_CHECK_S = 1800.0  # time limit for reading a result
-
 
 def is_program(solver: str) -> bool:
     """Decide whether a solver's name is the path of a program.
@@ -150,10 +148,10 @@ def copy_isolated(
     result: Result, data: Dataset, out: Path, head: Head, name: str, *, overwrite: bool
 ) -> None:
     """Write a foreign result anew, checked, by `write_anew` in a child process."""
-    doing = f"result of {name}"
+    doing, time_s = f"result of {name}", ProgramLimits.time_s
     try:
         call_isolated(
-            write_anew, result.path, data.root, out, head, overwrite, doing=doing, time_s=_CHECK_S
+            write_anew, result.path, data.root, out, head, overwrite, doing=doing, time_s=time_s
         )
     finally:
         clear_abandoned(out.absolute())

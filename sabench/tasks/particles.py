@@ -22,6 +22,7 @@ from sabench.tasks import particles_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.solver_call import SolverClock, image_sequence
 from sabench.tasks.task import (
+    ALIKE,
     ANY,
     SHARE,
     Captions,
@@ -40,8 +41,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
-# share of the particles found with the cameras in another order, and how near, in voxels
-_ALIKE, _NEAR_VOXELS = 0.9, 0.2
+_NEAR_VOXELS = 0.2  # distance of a particle found with the cameras in another order
 _TOLERANCE = MatchingCurve("f1", "F1", "voxel", particle_detection.MATCHING_DISTANCES)
 
 
@@ -231,7 +231,7 @@ class ParticlesTask(Task):
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
         """Compare particles by the share detected in both."""
         near_mm = _NEAR_VOXELS * min(data.setup.grid.voxel_mm)
-        return share_near(one.position_mm, other.position_mm, near_mm) >= _ALIKE
+        return share_near(one.position_mm, other.position_mm, near_mm) >= ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the particles in a slice as Gaussian blobs, as a PNG."""

@@ -24,6 +24,7 @@ from sabench.tasks.solver_call import (
     image_sequence,
 )
 from sabench.tasks.task import (
+    ALIKE,
     PERCENT,
     SHARE,
     Captions,
@@ -49,7 +50,6 @@ PARTICLE_IMAGES = (
     "First frame of every camera, one brightness scale for all; dim particles are raised."
 )
 _TOLERANCE = MatchingCurve("peak_f1", "peak F1", "voxel", MATCHING_DISTANCES)
-_ALIKE = 0.95  # correlation of volumes from cameras in another order
 
 
 class ReconstructionTask(FrameByFrame):
@@ -204,7 +204,7 @@ class ReconstructionTask(FrameByFrame):
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
         """Compare volumes by their correlation: MART and its kin depend on the order."""
-        return correlation(one.volume, other.volume) > _ALIKE
+        return correlation(one.volume, other.volume) > ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw a slice of the first frame's volume as a PNG."""

@@ -20,6 +20,7 @@ from sabench.metrics.code_reading import (
 from sabench.plotting import pictures
 from sabench.tasks.reconstruction import check_frame
 from sabench.tasks.task import (
+    ALIKE,
     ANY,
     PERCENT,
     Captions,
@@ -34,9 +35,8 @@ from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.progress import progress_bar
 from sabench.worlds.bubbles_and_bodies import code_of
 
-_ENLARGED_PX, _DRAWN_PX = 400, 200  # longer side of a picture, and of the code itself
+_DRAWN_PX = 200  # longer side of the code itself
 _MARGIN = 3.0  # voxels around the code that are shown
-_ALIKE = 0.95  # correlation of planes from cameras in another order
 
 
 class SeeThroughTask(FrameByFrame):
@@ -120,15 +120,15 @@ class SeeThroughTask(FrameByFrame):
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
         """Compare planes by their correlation: MART and its kin depend on the order."""
-        return correlation(one.volume, other.volume) > _ALIKE
+        return correlation(one.volume, other.volume) > ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the code's plane in an estimate, or the code itself, as a PNG."""
         code = _code(data, 0)
         if not isinstance(source, Result):
-            return pictures.grey_picture(draw_code(code), _ENLARGED_PX)
+            return pictures.grey_picture(draw_code(code))
         plane = code_plane(data.setup.grid, self.read(data, source, 0).volume, code)
-        return pictures.grey_picture(plane, _ENLARGED_PX)
+        return pictures.grey_picture(plane)
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
         """Draw the cells of the code that are read wrong, as a PNG."""

@@ -22,6 +22,7 @@ _ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+
 
 LONGEST_PART = 255  # bytes of a file's name, on every system in use
 _LARGEST_TEXT = 100_000_000  # bytes of a JSON file
+LARGEST_DATA = 2_000_000_000  # bytes of a table, and of an array whose length its file sets
 
 
 @contextlib.contextmanager

@@ -14,7 +14,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 T = TypeVar("T")
 console = Console(stderr=True)
-_REFRESH_S = 0.2
 _PATIENCE_S = 1.0  # of compiling without a notice
 
 
@@ -32,7 +31,7 @@ def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
         task = progress.add_task(doing, total=total)
 
         def keep_alive() -> None:
-            while not ended.wait(_REFRESH_S):
+            while not ended.wait(1.0 / progress.live.refresh_per_second):
                 progress.refresh()
 
         if console.is_terminal:

@@ -68,7 +68,6 @@ def page(name: str, challenge: Challenge) -> str:
 _PROGRAM = Path(__file__).with_name("score.py")
 _COMMAND = "command: python3 /app/program/score.py /app/input/ /app/output/\n"
 _DIGITS = 6  # that the server's table shows
-_LIMIT_S = 3600  # time limit for scoring one submission
 _DOCKERFILE = """# Image for the scoring program: put the wheel of sabench next to this file.
 FROM python:3.12-slim
 COPY sabench-{version}-py3-none-any.whl /tmp/
@@ -140,7 +139,7 @@ phases:
   - index: 0
     name: Challenge
     start: {start}
-    execution_time_limit: {_LIMIT_S}
+    execution_time_limit: {ProgramLimits.time_s:.0f}
     public_data: public_data.zip
     starting_kit: starting_kit
     accepts_only_result_submissions: true

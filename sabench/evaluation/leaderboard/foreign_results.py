@@ -15,9 +15,8 @@ from sabench.tasks.external_programs import write_anew
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.processes.call import call_isolated
+from sabench.utils.processes.program import ProgramLimits
 from sabench.utils.validation import printable
-
-_SCORE_S = 3600.0  # for one result
 
 
 def match_data_sets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
@@ -89,9 +88,8 @@ def score_safely(label: str, file: Path, data: Dataset) -> dict[str, Any]:
     InputError
         A result that `score` refuses, or one that takes more than an hour.
     """
-    return dict(
-        call_isolated(_score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S)
-    )
+    doing, time_s = f"result {printable(label)}", ProgramLimits.time_s
+    return dict(call_isolated(_score, file, data.root, doing=doing, time_s=time_s))
 
 
 def _score(file: Path, root: Path) -> dict[str, Any]:

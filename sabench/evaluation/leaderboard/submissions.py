@@ -14,7 +14,7 @@ from sabench.dataset.reader import Dataset
 from sabench.evaluation.leaderboard.archives import submitted_files
 from sabench.evaluation.leaderboard.cells import distinct
 from sabench.evaluation.leaderboard.foreign_results import match_data_sets, score_safely
-from sabench.evaluation.record_schema import Record
+from sabench.evaluation.record_schema import LONGEST_NAME, Record
 from sabench.evaluation.records import append, encode, latest, read_records, run_key, same_data
 from sabench.evaluation.runner import build_board
 from sabench.evaluation.solver_card import check_solvers, read_cards
@@ -113,9 +113,6 @@ def _entry(record: Record) -> str:
     return printable(f"{record['solver']}{who}", 200)
 
 
-_LONGEST_NAME = 80
-
-
 @dataclass(frozen=True)
 class Standing:
     """Rank of a submitted result among the latest ones of its data set and task.
@@ -201,9 +198,9 @@ def submit(
 
 def _check_name(name: str) -> None:
     """Refuse a name that is empty, too long or cannot be printed."""
-    if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
+    if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
         raise InputError(
-            f"name: expected 1 to {_LONGEST_NAME} printable characters, got {printable(name)!r}"
+            f"name: expected 1 to {LONGEST_NAME} printable characters, got {printable(name)!r}"
         )
 
 
