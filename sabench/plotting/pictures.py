@@ -21,7 +21,7 @@ GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
 BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
-_ENLARGED_PX = 400  # side of a slice's image
+ENLARGED_PX = 400  # side of a slice's image
 # Blue, green, red of detections on black, which the colour-blind can distinguish
 FOUND: Colour = (135.0, 200.0, 40.0)
 MISSED: Colour = (233.0, 180.0, 86.0)
@@ -166,7 +166,7 @@ def _top(window: F64) -> float:
     return float(np.percentile(window, BRIGHTEST)) or float(window.max())
 
 
-def _enlarge(pixels: U8, size_px: int = _ENLARGED_PX) -> U8:
+def _enlarge(pixels: U8, size_px: int = ENLARGED_PX) -> U8:
     block = max(1, size_px // max(pixels.shape[:2]))
     return pixels.repeat(block, axis=0).repeat(block, axis=1)
 
@@ -181,7 +181,7 @@ def read_picture(dark: Bool, right: Bool) -> bytes:
     return _png(_enlarge(np.where(right[..., None], truth, wrong).astype(np.uint8)))
 
 
-def grey_picture(values: F64, size_px: int = _ENLARGED_PX) -> bytes:
+def grey_picture(values: F64, size_px: int = ENLARGED_PX) -> bytes:
     """Draw a plane (rows, columns), enlarged to about `size_px`, as a PNG.
 
     Grey values extend from its 1st to its 99th percentile; each value is a block of whole pixels.

@@ -35,7 +35,6 @@ from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.progress import progress_bar
 from sabench.worlds.bubbles_and_bodies import code_of
 
-_DRAWN_PX = 200  # longer side of the code itself
 _MARGIN = 3.0  # voxels around the code that are shown
 
 
@@ -176,7 +175,7 @@ def _nearest(code: Code) -> I64:
     """Find the cell (rows, columns) nearest to each pixel of a picture along Z."""
     middles = code.points_mm.mean(axis=1)[:, :2]
     low, high = (end(code.points_mm.reshape(-1, 3)[:, :2], axis=0) for end in (np.min, np.max))
-    sides = np.rint((high - low) / (high - low).max() * _DRAWN_PX)
+    sides = np.rint((high - low) / (high - low).max() * pictures.ENLARGED_PX)
     columns, rows = np.maximum(1, sides).astype(int)
     x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
     nearest = cKDTree(middles).query(np.column_stack([x.ravel(), y.ravel()]))[1]

@@ -21,7 +21,7 @@ from sabench.utils.progress import progress_bar
 _ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
 
 LONGEST_PART = 255  # bytes of a file's name, on every system in use
-_LARGEST_TEXT = 100_000_000  # bytes of a JSON file
+LARGEST_TEXT = 100_000_000  # bytes of JSON, and of what is read without a check of its cost
 LARGEST_DATA = 2_000_000_000  # bytes of a table, and of an array whose length its file sets
 
 
@@ -202,8 +202,8 @@ def digest(value: Any) -> str:
 def read_json(path: Path) -> Any:
     """Parse a JSON file; raise an InputError if it is missing, broken or enormous."""
     try:
-        if path.stat().st_size > _LARGEST_TEXT:
-            raise ValueError(f"{path.stat().st_size} bytes where {_LARGEST_TEXT} are allowed")
+        if path.stat().st_size > LARGEST_TEXT:
+            raise ValueError(f"{path.stat().st_size} bytes where {LARGEST_TEXT} are allowed")
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a JSON file, got {_short(error)}") from error
