@@ -45,7 +45,7 @@ from sabench.tasks.quality import FIGURES_OF, quality, residual_picture
 from sabench.tasks.solve_and_score import costs_of, describe_solver
 from sabench.utils.backend import choose_renderer
 from sabench.utils.errors import InputError
-from sabench.utils.files import digest, is_file, is_folder
+from sabench.utils.files import digest, is_file, is_folder, read_toml
 from sabench.utils.progress import console
 from sabench.utils.validation import printable, validate
 
@@ -233,11 +233,7 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
 
 
 def _read_suite(file: Path) -> Suite:
-    try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{file}: expected a TOML file, got {error}") from error
-    return validate(Suite, values, str(file))
+    return validate(Suite, read_toml(file), str(file))
 
 
 def is_public(scene_hash: str, seed: int) -> bool:

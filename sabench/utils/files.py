@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import threading
+import tomllib
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -207,6 +208,14 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a JSON file, got {_short(error)}") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file; raise an InputError if it is missing or broken."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected a TOML file, got {error}") from error
 
 
 def inside(root: Path, name: str) -> Path:

@@ -3,7 +3,6 @@
 docs/using/calibrating.md describes it.
 """
 
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from sabench.scenes.cameras import DistortionSpec
 from sabench.scenes.wall import WallTable
 from sabench.utils.arrays import F64, I64, LARGEST, triple
 from sabench.utils.errors import InputError
-from sabench.utils.files import inside
+from sabench.utils.files import inside, read_toml
 from sabench.utils.progress import progress_bar
 from sabench.utils.tables import read_named_rows
 from sabench.utils.validation import (
@@ -340,12 +339,9 @@ class Recording:
 def read_case(folder: Path) -> Recording:
     """Read a folder's calibration: its points.csv, or else points of its images."""
     path = folder / CONFIGURATION
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: expected the description of a calibration, found none") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected a TOML file, got {error}") from error
+    if not path.is_file():
+        raise InputError(f"{path}: expected the description of a calibration, found none")
+    values = read_toml(path)
     configuration = validate(Configuration, values, str(path))
     check_largest(values, str(path))
     if configuration.known_cameras is None:
