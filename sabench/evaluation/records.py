@@ -19,7 +19,7 @@ from sabench.evaluation.record_schema import FORMAT, VERSION, Record, parse_reco
 from sabench.evaluation.solver_card import LONGEST_TEXT
 from sabench.utils import backend
 from sabench.utils.errors import MOST, InputError
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
 
@@ -86,9 +86,10 @@ def _read_file(path: Path) -> Iterator[Record]:
                 continue
             bad += 1
             if bad <= MOST:
-                _warn(f"{path}: line {number} is left out: expected a record, got {error}")
+                text = f"{path}: line {number} is left out: expected a record, got {error}"
+                say(printable(text, 1000), "red")
     if bad > MOST:
-        _warn(f"{path}: {bad - MOST} more lines are left out")
+        say(f"{path}: {bad - MOST} more lines are left out", "red")
 
 
 def _lines(path: Path) -> Iterator[tuple[bytes, bool]]:
@@ -102,10 +103,6 @@ def _lines(path: Path) -> Iterator[tuple[bytes, bool]]:
             while not last.endswith(b"\n") and (last := file.readline(LONGEST_TEXT)):
                 pass
             yield line, last.endswith(b"\n")
-
-
-def _warn(text: str) -> None:
-    console.print(printable(text, 1000), style="red", markup=False, highlight=False, soft_wrap=True)
 
 
 def append(path: Path, record: Record) -> None:

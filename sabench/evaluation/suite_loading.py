@@ -46,7 +46,7 @@ from sabench.tasks.solve_and_score import costs_of, describe_solver
 from sabench.utils.backend import choose_renderer
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest, is_file, is_folder, read_toml
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.utils.validation import printable, validate
 
 
@@ -136,7 +136,7 @@ def judge(case: RecordedCase, out: Path) -> Judged:
     options = case.quality
     judged = quality(case.data, out, frames=options.frames, solve_again=options.again)
     for note in judged.notes:
-        console.print(f"note: {note}", markup=False, highlight=False)
+        say(f"note: {note}")
     scores["quality"] = {**options.model_dump(), "figures": judged.figures}
     left = judged.left
     return Judged(scores, None if left is None else residual_picture(case.data, left))

@@ -23,7 +23,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import clear_abandoned, is_file, refuse_existing
 from sabench.utils.processes.call import call_isolated
 from sabench.utils.processes.program import ProgramLimits, run_limited
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.utils.validation import printable
 
 
@@ -86,8 +86,7 @@ def run_program(
     refuse_existing(out, overwrite=overwrite)
     with open_sandbox(dataset) as sandbox, sandbox.naming(dataset.root, out):
         sees = "; sees its folder and SABENCH_VISIBLE" if sandbox.confined else "; not confined"
-        said = f"{path.name}: at most {limits.time_s:g} s{sees}"
-        console.print(said, markup=False, highlight=False)
+        say(f"{path.name}: at most {limits.time_s:g} s{sees}")
         # strings as they are, all else as JSON
         words = [
             f"{name}={value if isinstance(value, str) else json.dumps(value)}"

@@ -17,6 +17,11 @@ console = Console(stderr=True)
 _PATIENCE_S = 1.0  # of compiling without a notice
 
 
+def say(text: str, style: str | None = None) -> None:
+    """Print a line on standard error as it is, however long."""
+    console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
 def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
     """Yield items and show how many are done.
 
@@ -92,4 +97,4 @@ def announce_compiling() -> None:
 
 @functools.cache
 def _say_compiling() -> None:
-    console.print("compiling kernels (once)", style="dim", highlight=False)
+    say("compiling kernels (once)", "dim")

@@ -37,7 +37,7 @@ from sabench.tasks.solve_and_score import check_result_task, solve
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, digest, refuse_existing, zip_folder
 from sabench.utils.processes.program import ProgramLimits
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.utils.version import __version__
 
 _FOLDER = Path(__file__).with_name("pages")
@@ -239,8 +239,7 @@ def _tasks(case: Case) -> set[str]:
 
 def _data_sets(cases: list[Case], work: Path, jobs: int) -> Iterator[Dataset]:
     for number, case in enumerate(cases, 1):
-        text = f"data set {number} of {len(cases)}: {case.name}, {case.words}"
-        console.print(text, markup=False, highlight=False)
+        say(f"data set {number} of {len(cases)}: {case.name}, {case.words}")
         yield dataset_of(case, work, False, jobs)
 
 
@@ -287,8 +286,7 @@ def participate(
         tag = digest([solver, parameters or {}])[:8]
         files = []
         for number, name in enumerate(challenge.data_sets, 1):
-            text = f"data set {number} of {len(challenge.data_sets)}: {name}"
-            console.print(text, markup=False, highlight=False)
+            say(f"data set {number} of {len(challenge.data_sets)}: {name}")
             data = open_dataset(folder / name)
             place = results / f"{name}-{data.content_hash[:8]}-{shown}-{tag}.h5"
             if not _is_there(place, data):

@@ -21,7 +21,7 @@ from sabench.evaluation.solver_card import check_solvers, read_cards
 from sabench.evaluation.suite_loading import is_public
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
-from sabench.utils.progress import console, progress_bar
+from sabench.utils.progress import progress_bar, say
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
 
@@ -54,8 +54,7 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
         # describe a private data set by its content hash alone
         name = f"private-{data.content_hash[:12]}"
         reason = "no public record and no bundled suite has its scene with its seed"
-        text = f"{data.root}: recorded as {name}: {reason}"
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        say(f"{data.root}: recorded as {name}: {reason}")
         return {
             "case": name,
             "scene": "private",
@@ -209,8 +208,7 @@ def _recognised(labels: list[str], records: list[Record], existing: list[Record]
     noted: list[Record] = []
     for label, record in zip(labels, records, strict=True):
         if twin := recognise(record, [*existing, *noted]):
-            text = f"{printable(label)}: its estimates are those of {twin}; the record says so"
-            console.print(text, markup=False, highlight=False, soft_wrap=True)
+            say(f"{printable(label)}: its estimates are those of {twin}; the record says so")
         noted.append({**record, "same_estimates_as": twin})
     return noted
 
