@@ -2,7 +2,7 @@
 
 import contextlib
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +26,7 @@ from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.files import inside, read_toml
+from sabench.utils.files import inside, is_file, read_toml
 from sabench.utils.validation import validate
 
 
@@ -385,3 +385,11 @@ def open_dataset(path: str | Path) -> Dataset:
             "sabench.open_samples"
         )
     return Dataset(root, contents)
+
+
+def datasets_in(folder: Path) -> Iterator[Dataset]:
+    """Open the data sets that a folder is or holds; skip what cannot be read."""
+    for root in (folder, *sorted(folder.iterdir())):
+        if not root.name.startswith(".") and is_file(root / schema.MANIFEST):
+            with contextlib.suppress(InputError):
+                yield open_dataset(root)

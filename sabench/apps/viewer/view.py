@@ -15,7 +15,7 @@ from markupsafe import Markup
 from sabench.apps.viewer.contents import PageContents, of_cameras, of_dataset, of_scene
 from sabench.apps.viewer.page_content import encode_contents
 from sabench.apps.viewer.surroundings import draw_surroundings
-from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.reader import Dataset, datasets_in, open_dataset
 from sabench.dataset.results import open_result, read_dataset_names
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import probe, probe_dataset
@@ -179,15 +179,10 @@ def _find_dataset(result: Path) -> Dataset:
     probe(result)
     names = read_dataset_names(result)
     home = result.absolute().parent
-    for root in (home, *sorted(home.iterdir())):
-        if is_file(root / MANIFEST):
-            try:
-                data = open_dataset(root)
-            except InputError:
-                continue  # a broken one next to it is not asked for
-            if names.fits(data):
-                probe_dataset(root)
-                return data
+    for data in datasets_in(home):
+        if names.fits(data):
+            probe_dataset(data.root)
+            return data
     raise InputError(
         f"{result}: expected its data set in {home} or directly below it, found none: "
         "run `sabench view DATASET RESULT`"

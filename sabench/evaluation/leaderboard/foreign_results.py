@@ -1,15 +1,13 @@
 """Result files from outside: matched to data sets, checked and scored."""
 
-import contextlib
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from sabench.dataset.copies import disagreements
-from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.reader import Dataset, datasets_in
 from sabench.dataset.results import estimate_hash, read_dataset_names
-from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import probe, verify
 from sabench.tasks.external_programs import write_anew
 from sabench.tasks.solve_and_score import score
@@ -70,12 +68,7 @@ def data_sets_in(folders: Sequence[Path]) -> Iterator[Dataset]:
     for folder in folders:
         if not folder.is_dir():
             raise InputError(f"{folder}: expected a folder of data sets, found none")
-        for root in (folder, *sorted(folder.iterdir())):
-            if not root.name.startswith(".") and (root / MANIFEST).is_file():
-                with contextlib.suppress(InputError):  # no result belongs to it
-                    data = open_dataset(root)
-                    if data.has_truth:
-                        yield data
+        yield from (data for data in datasets_in(folder) if data.has_truth)
 
 
 def score_safely(label: str, file: Path, data: Dataset) -> dict[str, Any]:
