@@ -50,7 +50,8 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
     small, across = _shrink("montage", images)
     least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
     top = min(white_dn, max(least, float(np.percentile(small, BRIGHTEST))))
-    return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, GAMMA), across))
+    light = small.astype(np.float64) - black_dn
+    return _png(_mosaic(grey_levels(light, top - black_dn, GAMMA), across))
 
 
 def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
@@ -61,7 +62,7 @@ def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
     dark = np.clip(white_dn - images.astype(np.float64), 0.0, white_dn - black_dn).astype(np.uint16)
     small, across = _shrink("backlit", dark)
     light = (white_dn - black_dn) - small.astype(np.float64)
-    return _png(_mosaic(_grey(light, white_dn - black_dn, 1.0), across))
+    return _png(_mosaic(grey_levels(light, white_dn - black_dn, 1.0), across))
 
 
 def _shrink(what: str, images: U16) -> tuple[U16, int]:
@@ -84,7 +85,7 @@ def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
     the window's own 99.9th percentile: faint ghosts stay visible next to bright particles.
     """
     window = _window(volume[scored])
-    return _png(_enlarge(_grey(window, _top(window), 0.5)))
+    return _png(_enlarge(grey_levels(window, _top(window), 0.5)))
 
 
 def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> bytes:
@@ -187,7 +188,7 @@ def grey_picture(values: F64, size_px: int = ENLARGED_PX) -> bytes:
     Grey values extend from its 1st to its 99th percentile; each value is a block of whole pixels.
     """
     low, high = np.percentile(values, [1.0, 99.0])
-    return _png(_enlarge(_grey(values - low, high - low, 1.0), size_px))
+    return _png(_enlarge(grey_levels(values - low, high - low, 1.0), size_px))
 
 
 def dots(pixels: F64, rows: int, columns: int) -> bytes:
@@ -300,7 +301,8 @@ def join_blocks(images: npt.NDArray[AnyNumber], block: int) -> npt.NDArray[AnyNu
     return np.asarray(padded.reshape(shape).max(axis=(2, 4)))
 
 
-def _grey(values: F64, top: float, gamma: float) -> U8:
+def grey_levels(values: F64 | F32, top: float, gamma: float) -> U8:
+    """Scale values from 0 to a top to grey values of 8 bits."""
     scaled = np.clip(values / top, 0.0, 1.0) if top > 0.0 else np.zeros_like(values)
     return np.rint(255.0 * scaled**gamma).astype(np.uint8)
 

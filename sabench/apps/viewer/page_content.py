@@ -20,7 +20,7 @@ from sabench.dataset.schema import image_name
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.volume_polynomials import fit_volume_polynomials
-from sabench.plotting.pictures import BRIGHTEST, GAMMA, join_blocks
+from sabench.plotting.pictures import BRIGHTEST, GAMMA, grey_levels, join_blocks
 from sabench.utils.arrays import F32, F64, U8, Bool, triple
 from sabench.utils.progress import progress_bar
 
@@ -112,13 +112,8 @@ def _grey_images(data: Dataset, frame: int) -> Iterator[U8]:
     light = images.astype(np.float32) - np.float32(data.setup.sensor.black_dn)
     top = np.percentile(light, BRIGHTEST)
     block = -(-max(images.shape[1:]) // _LONGEST_PX)
-    grey = _grey(light, 0.0, float(max(top, 1.0)), 1.0 if is_bright(data) else GAMMA)
-    yield from join_blocks(grey, block)
-
-
-def _grey(values: F32, low: float, high: float, gamma: float) -> U8:
-    share = np.clip((values - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0.0, 1.0)
-    return np.asarray(np.rint(255.0 * share**gamma), dtype=np.uint8)
+    shown = grey_levels(light, float(max(top, 1.0)), 1.0 if is_bright(data) else GAMMA)
+    yield from join_blocks(shown, block)
 
 
 def refocused_stack(data: Dataset, frame: int) -> PlaneStack:
@@ -131,8 +126,8 @@ def refocused_stack(data: Dataset, frame: int) -> PlaneStack:
     else:
         planes, place = _plane_by_plane(case, images, axis, sign)
     low, high = np.percentile(planes, [1.0 if backlit else _DARKEST, BRIGHTEST])
-    grey = _grey(planes, float(low), float(high), 1.0 if backlit else GAMMA)
-    return PlaneStack("refocused images", place, grey)
+    shown = grey_levels(planes - np.float32(low), float(high - low), 1.0 if backlit else GAMMA)
+    return PlaneStack("refocused images", place, shown)
 
 
 def volume_stack(volume: F32, grid: Grid) -> PlaneStack:
@@ -147,7 +142,7 @@ def volume_stack(volume: F32, grid: Grid) -> PlaneStack:
     # find the value shown as white; few voxels may be bright at all
     bright = joined[joined > 0.0]
     white = float(np.percentile(bright, BRIGHTEST)) if bright.size else 1.0
-    return PlaneStack("reconstruction", place, _grey(joined, 0.0, white, GAMMA))
+    return PlaneStack("reconstruction", place, grey_levels(joined, white, GAMMA))
 
 
 def _viewing_axis(case: Observation) -> tuple[int, int]:
