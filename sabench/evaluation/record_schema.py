@@ -159,10 +159,7 @@ class RecordHead(_Part):
     pictures: Name | None = Field(None, description="folder of the case's figures")
     command: _Line | None = Field(None, description="command that reproduces this record")
     reference_s: float | None = Field(
-        None,
-        ge=0,
-        le=LARGEST,
-        description="seconds of the reference kernel, timed in the same run",
+        None, ge=0, le=LARGEST, description="seconds of the reference kernel, timed in the same run"
     )
     iterations: list[Iteration] | None = Field(
         None,

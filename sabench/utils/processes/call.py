@@ -211,10 +211,7 @@ def read_isolated(
 
 
 def _read(
-    read: Callable[..., None],
-    limits: tuple[float, float],
-    path: Path,
-    arguments: tuple[Any, ...],
+    read: Callable[..., None], limits: tuple[float, float], path: Path, arguments: tuple[Any, ...]
 ) -> None:
     _limit_self(*limits)
     nowhere = os.open(os.devnull, os.O_WRONLY)  # for what libraries print about damaged files
