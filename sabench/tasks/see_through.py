@@ -35,8 +35,6 @@ from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.progress import progress_bar
 from sabench.worlds.bubbles_and_bodies import code_of
 
-_MARGIN = 3.0  # voxels around the code that are shown
-
 
 class SeeThroughTask(FrameByFrame):
     """Reading of a code through the bubbles in front of it."""
@@ -155,12 +153,12 @@ def _brighten(grid: Grid, volume: F32, code: Code, light: float) -> F32:
 def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
     """Cut the plane (y, x) nearest to the code's middle out of a volume.
 
-    It is limited to the surroundings of the code.
+    It is limited to the code.
     """
     voxels, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
     low, high = (
         np.clip(np.rint(end), 0, size - 1).astype(int)
-        for end in (voxels.min(axis=0) - _MARGIN, voxels.max(axis=0) + _MARGIN)
+        for end in (voxels.min(axis=0), voxels.max(axis=0))
     )
     middle = int(np.clip(np.rint(voxels[:, 2].mean()), 0, size[2] - 1))
     return np.asarray(volume[middle, low[1] : high[1] + 1, low[0] : high[0] + 1], dtype=np.float64)
