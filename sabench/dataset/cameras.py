@@ -87,7 +87,7 @@ def _is_sound(wall: WallRecord) -> bool:
     return abs(float(np.linalg.norm(direction)) - 1.0) <= 1e-9 and min(sizes) > 0.0
 
 
-MOST_DN = 65535  # of 16 bits
+MOST_DN = np.iinfo(np.uint16).max
 
 
 class SensorLevels(schema.StoredRecord):
