@@ -97,10 +97,6 @@ class FoundParticles(Estimate):
             if value is not None:
                 _check_covariances(name, value)
 
-    def rows(self, chosen: Bool | I64) -> FoundParticles:
-        """Return some of the particles, with all that is known of them."""
-        return FoundParticles(**{array.name: value[chosen] for array, value in self.arrays()})
-
 
 def _check_covariances(name: str, value: F64) -> None:
     """Check matrices (n, 3, 3); rounding may leave their halves a little uneven."""

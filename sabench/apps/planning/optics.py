@@ -247,9 +247,7 @@ def sample_images(frame: FrameContent, tracers: Tracers) -> ParticleSample | Non
     """Image a sample of a frame's particles; None where no camera sees one."""
     whole = tracers.particles
     some = np.unique(np.linspace(0, max(len(whole) - 1, 0), min(len(whole), _SAMPLE)).astype(int))
-    given = Particles(
-        whole.id[some], whole.position_mm[some], whole.diameter_mm[some], whole.velocity_mm_s[some]
-    )
+    given = whole.rows(some)
     images = tuple(
         image_particles(
             frame.scene, camera, given, tracers.scatterers, frame.rig.occluders_of(camera)
