@@ -12,6 +12,7 @@ from sabench.utils.validation import printable, validate
 
 CARD = "card.toml"  # names of cards in a submission end so
 LONGEST_TEXT = 100_000  # bytes of a card, and of a record
+MOST_CASES = 1000  # of a suite, and so files of a submission
 
 
 def _check_text(text: str) -> str:

@@ -29,6 +29,7 @@ from sabench.dataset.results import open_result
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import verify
 from sabench.evaluation.record_schema import LONGEST_NAME
+from sabench.evaluation.solver_card import MOST_CASES
 from sabench.evaluation.suites import (
     Case,
     CaseSpec,
@@ -184,7 +185,6 @@ def read_secret(path: Path) -> Secret:
     return validate(Secret, values, str(path))
 
 
-MOST_CASES = 1000  # of a suite, and so files of a submission
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 Load = Callable[[str | Path], Scene]
 _Table = TypeVar("_Table", Suite, CaseSpec, RecordingSpec)

@@ -22,8 +22,7 @@ import tomli_w
 
 from sabench.dataset.results import read_solver
 from sabench.dataset.verification import probe
-from sabench.evaluation.solver_card import CARD, SolverCard, check_solvers, read_cards
-from sabench.evaluation.suite_loading import MOST_CASES
+from sabench.evaluation.solver_card import CARD, MOST_CASES, SolverCard, check_solvers, read_cards
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, zip_folder
 from sabench.utils.processes.program import ProgramLimits
