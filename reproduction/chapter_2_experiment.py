@@ -11,15 +11,6 @@ import numpy as np
 
 from sabench.api import ImagePair, Velocity, VolumePair
 from sabench.evaluation.reproduction import Item
-from sabench.metrics.vortex_rings import (
-    HalfPlane,
-    Sampled,
-    circulation,
-    core,
-    half_plane,
-    interpolate_field,
-    spin_of,
-)
 from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene
 from sabench.simulation.in_memory import Shot, simulate
@@ -30,6 +21,15 @@ from sabench.utils.errors import InputError
 from sabench.worlds.tracers import require_flow
 
 from .common import claim, coarsen, make_row, reconstruct, report, run, settings
+from .vortex_rings import (
+    HalfPlane,
+    Sampled,
+    circulation,
+    core,
+    half_plane,
+    interpolate_field,
+    spin_of,
+)
 
 ANGLES = tuple(float(angle) for angle in np.linspace(0.0, 180.0, 9))
 ORIFICE_MM = 30.0

@@ -19,7 +19,7 @@ from sabench.scenes.cameras import CameraSpec
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64
 from sabench.utils.confidence import mean_of
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, require_flow
 
@@ -145,7 +145,7 @@ def simulate_frame(scene: Scene, seed: int) -> Shot:
 
 def report(text: str) -> None:
     """Print a line on the progress to standard error."""
-    console.print(text, markup=False, highlight=False)
+    say(text)
 
 
 def run(solver: str, problem: Any, **parameters: Any) -> Any:

@@ -23,10 +23,10 @@ from types import ModuleType
 from typing import Any, Literal
 
 from sabench.utils.class_source import constant, find_class, import_fault, parse_file
+from sabench.utils.code_hash import PACKAGE
 from sabench.utils.errors import InputError
 from sabench.utils.installed import lacking
 
-_PACKAGE = Path(__file__).resolve().parent
 PLUGIN_FOLDERS = ("generators", "solvers")
 # Class attribute that groups the entries of a kind.
 _GROUP = {"solvers": "task", "generators": "makes"}
@@ -54,9 +54,9 @@ class ListEntry:
 @functools.cache
 def bundled_folder(kind: str) -> Path:
     """Find a bundled folder, such as solvers, scenes or reproduction."""
-    beside = _PACKAGE.parent / kind
-    checkout = (_PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir()
-    return beside if checkout else _PACKAGE / "_plugins" / kind
+    beside = PACKAGE.parent / kind
+    checkout = (PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir()
+    return beside if checkout else PACKAGE / "_plugins" / kind
 
 
 def folders(kind: str) -> list[Path]:

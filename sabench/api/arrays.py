@@ -11,11 +11,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from sabench.utils.arrays import I64, LARGEST, Bool
 from sabench.utils.errors import InputError
-
-LARGEST_VALUE = (
-    1e12  # no length, velocity or angle is beyond it, and its square still has many digits
-)
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class Array:
     optional: bool = False
     unique: bool = False
     finite: bool = True
-    largest: float = LARGEST_VALUE
+    largest: float = LARGEST
     stored: str = ""
     file_dtype: type[np.generic] | None = None
     packed: bool = False
@@ -135,6 +132,10 @@ class Arrays:
             value = getattr(self, array.name)
             if value is not None or not array.optional:
                 yield array, array.encode(value) if array.encode else value
+
+    def rows(self, chosen: Bool | I64) -> Self:
+        """Return some of the rows of all arrays, which are particles, say."""
+        return type(self)(**{array.name: value[chosen] for array, value in self.arrays()})
 
     def check(self, **known: int) -> None:
         """Check that every array is as declared; `known` are sizes by their names.

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.api.arrays import LARGEST_VALUE, Array, Arrays
+from sabench.api.arrays import Array, Arrays
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import decode_cameras, encode_cameras
 from sabench.geometry.rigid_motion import cross
-from sabench.utils.arrays import F32, F64, I64, Bool, triple
+from sabench.utils.arrays import F32, F64, I64, LARGEST, Bool, triple
 from sabench.utils.errors import InputError
 
 
@@ -71,7 +71,7 @@ class FoundParticles(Estimate):
         Array("velocity_mm_s", ("n", 3), optional=True),
         Array("velocity_covariance", ("n", 3, 3), optional=True),
         Array("acceleration_mm_s2", ("n", 3), optional=True),
-        Array("acceleration_covariance", ("n", 3, 3), optional=True, largest=LARGEST_VALUE**2),
+        Array("acceleration_covariance", ("n", 3, 3), optional=True, largest=LARGEST**2),
         Array("trajectory", ("n",), np.int64, optional=True, unique=True, stored="track"),
     )
 
@@ -96,10 +96,6 @@ class FoundParticles(Estimate):
             value = getattr(self, name)
             if value is not None:
                 _check_covariances(name, value)
-
-    def rows(self, chosen: Bool | I64) -> FoundParticles:
-        """Return some of the particles, with all that is known of them."""
-        return FoundParticles(**{array.name: value[chosen] for array, value in self.arrays()})
 
 
 def _check_covariances(name: str, value: F64) -> None:

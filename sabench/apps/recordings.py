@@ -12,11 +12,12 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import MANIFEST
 from sabench.images import statistics
 from sabench.images.statistics import read_recordings
+from sabench.metrics.averages import finite_or_none
+from sabench.metrics.reprojection import FARTHEST_PX
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
-_REACH_PX = 1.0  # largest distance of a peak from its particle's projection
 _APART_PX = 4.0  # nearer peaks and particles leave a particle out
 
 Matched = Literal["true positions", "triangulated positions"]
@@ -49,14 +50,14 @@ class Measured:
         every = [asdict(camera) for camera in self.cameras.values()]
         out = {key: _median([figures[key] for figures in every]) for key in every[0]}
         if self.ratio is not None:
-            out["ln_ratio"] = _finite(self.ratio.plain)
-            out["ln_ratio_robust"] = _finite(self.ratio.robust)
+            out["ln_ratio"] = finite_or_none(self.ratio.plain)
+            out["ln_ratio_robust"] = finite_or_none(self.ratio.robust)
         return out
 
     def to_json(self) -> dict[str, Any]:
         """Give all figures as JSON holds them."""
         cameras = {
-            name: {key: _finite(value) for key, value in asdict(camera).items()}
+            name: {key: finite_or_none(value) for key, value in asdict(camera).items()}
             for name, camera in self.cameras.items()
         }
         pairs = self.ratio.pairs if self.ratio else None
@@ -73,10 +74,6 @@ class Measured:
 def _median(values: list[float]) -> float | None:
     finite = [value for value in values if np.isfinite(value)]
     return float(np.median(finite)) if finite else None
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def measure(path: Path, most: int, white_dn: float | None = None) -> Measured:
@@ -144,7 +141,7 @@ def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
                 statistics.flux_near(
                     statistics.fit_particle_images(image, _white(dataset, number)),
                     pixels,
-                    _REACH_PX,
+                    FARTHEST_PX,
                     _APART_PX,
                 )
                 for number, (image, pixels) in enumerate(zip(images, sightings, strict=True))

@@ -257,7 +257,7 @@ def submit(
             "RESULT", "A result file, or a .zip, .tar, .tar.gz or folder of result files."
         ),
     ],
-    name: Annotated[str, options.option("NAME", "Name of the submitter, at most 80 characters.")],
+    name: Annotated[str, options.option("NAME", "Name of the submitter, at most 200 characters.")],
     data: Annotated[
         list[Path] | None,
         options.option("FOLDER", "Folder of data sets; repeatable. [default: work/datasets]"),

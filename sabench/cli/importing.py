@@ -22,7 +22,7 @@ from sabench.cli.options import (
     say,
     say_json,
 )
-from sabench.utils.errors import InputError
+from sabench.utils.errors import MOST, InputError
 
 if TYPE_CHECKING:
     from sabench.dataset.import_recording import Box, ImportedRecording
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from sabench.interop.cameras import CameraFormat
     from sabench.interop.export import Format
     from sabench.interop.tracks import TrackFormat
-
-
-_SHOWN = 12  # files that `export` lists
 
 
 def export(
@@ -65,8 +62,8 @@ def export(
     with notes_shown():  # `write` checks the word
         out = write(dataset, output or Path(to), result, to=cast("Format", to), overwrite=overwrite)
     names = sorted(path.name for path in out.iterdir())
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    say(f"{out}: {', '.join(names[:_SHOWN])}{more}")
+    more = f" and {len(names) - MOST} more" if len(names) > MOST else ""
+    say(f"{out}: {', '.join(names[:MOST])}{more}")
 
 
 def import_result(

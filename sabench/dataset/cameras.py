@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -12,7 +12,7 @@ from pydantic import Field
 from sabench.dataset import schema
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.camera_records import CameraEntry, record_camera
+from sabench.geometry.camera_records import CameraEntry, check_largest, record_camera
 from sabench.geometry.cylinder_wall import WallRecord, WallsRecord
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
@@ -22,52 +22,19 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, inside, read_json
 from sabench.utils.validation import LensNumber, WallNumber
 
-_FARTHEST_MM = 1e9  # a thousand kilometres
-_LONGEST = 1_000_000  # voxels or pixels along a side
 
-
-def check_lengths(
+def _check_counts(
     path: Path, walls: Sequence[WallRecord | None], cameras: Sequence[CameraModel], grid: Grid
 ) -> None:
-    """Check that lengths and coordinates are such as a laboratory has.
-
-    Raises InputError for a wall of too many layers, a grid or image of too many voxels or pixels
-    along a side, or a length beyond a thousand kilometres.
-    """
+    """Refuse too many layers of a wall, or voxels or pixels along a side."""
     for wall in walls:
         if wall is not None and len(wall.layers) > MOST_LAYERS:
             got = len(wall.layers)
             raise InputError(f"{path}: wall: expected at most {MOST_LAYERS} layers, got {got}")
     for name, counts in (("grid", grid.shape), *((c.name, (c.rows, c.columns)) for c in cameras)):
-        if max(counts) > _LONGEST:
-            expected = f"expected at most {_LONGEST} voxels or pixels along a side"
+        if max(counts) > schema.MOST:
+            expected = f"expected at most {schema.MOST} voxels or pixels along a side"
             raise InputError(f"{path}: {name}: {expected}, got {max(counts)}")
-    for name, values in _lengths(walls, cameras, grid):
-        largest = max(map(abs, values))
-        if largest > _FARTHEST_MM:
-            raise InputError(
-                f"{path}: {name}: expected at most {_FARTHEST_MM:g} mm, got {largest:g}"
-            )
-
-
-def _lengths(
-    walls: Sequence[WallRecord | None], cameras: Sequence[CameraModel], grid: Grid
-) -> Iterator[tuple[str, Sequence[float]]]:
-    size = [step * count for step, count in zip(grid.voxel_mm, grid.shape[::-1], strict=True)]
-    yield "grid", [*grid.low_mm, *size]
-    for camera in (one for one in cameras if isinstance(one, Camera)):
-        lens = (camera.principal_distance_mm, camera.focal_length_mm, camera.pixel_mm)
-        yield camera.name, [*camera.center_mm, *lens]
-    for wall in walls:
-        if wall is not None:
-            yield "wall", _wall_lengths(wall)
-
-
-def _wall_lengths(wall: WallRecord) -> list[float]:
-    thick = [layer.thickness_mm for layer in wall.layers]
-    if isinstance(wall, Wall):
-        return [*wall.point_mm, *thick, wall.depth_mm or 0.0]
-    return [*wall.axis_point_mm, *thick, wall.outer_radius_mm]
 
 
 AnyCamera = TypeVar("AnyCamera", bound=CameraModel)
@@ -120,7 +87,7 @@ def _is_sound(wall: WallRecord) -> bool:
     return abs(float(np.linalg.norm(direction)) - 1.0) <= 1e-9 and min(sizes) > 0.0
 
 
-MOST_DN = 65535  # of 16 bits
+MOST_DN = np.iinfo(np.uint16).max
 
 
 class SensorLevels(schema.StoredRecord):
@@ -140,7 +107,7 @@ class CamerasFile(schema.StoredRecord):
 
     format: str
     version: int
-    frames: int = Field(ge=1, le=1_000_000)  # tasks list them
+    frames: int = Field(ge=1, le=schema.MOST)  # tasks list them
     interval_s: float = Field(gt=0)
     wall: WallsRecord | None
     cameras: tuple[CameraEntry, ...] = Field(min_length=1)
@@ -236,6 +203,7 @@ def read_cameras(root: Path) -> CamerasFile:
 def check_setup(value: Any, path: Path) -> CamerasFile:
     """Check the cameras of a data set, as `cameras.json` and shards hold them."""
     loaded = schema.check_versioned(CamerasFile, value, path)
+    check_largest(value, str(path))
     _check_names(loaded.cameras, path)
     _check_cameras(loaded.cameras, path)
     first = loaded.cameras[0]
@@ -255,7 +223,7 @@ def check_setup(value: Any, path: Path) -> CamerasFile:
         expected = "particles, bubbles or both, each once, and code after bubbles only"
         raise InputError(f"{path}: shows: expected {expected}, got {list(loaded.shows)}")
     check_walls(path, loaded.walls_of_cameras(), len(loaded.cameras))
-    check_lengths(path, loaded.walls_of_cameras(), loaded.cameras, loaded.grid)
+    _check_counts(path, loaded.walls_of_cameras(), loaded.cameras, loaded.grid)
     _check_numbers(loaded, path)
     return loaded.model_copy(update={"cameras": behind(loaded.walls_of_cameras(), loaded.cameras)})
 
@@ -273,6 +241,7 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
 def check_true_cameras(value: Any, path: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
     """Check true cameras, as `true_cameras.json` and shards hold them."""
     loaded = schema.check_versioned(TrueCamerasFile, value, path)
+    check_largest(value, str(path))
     cameras = loaded.cameras
     expected, got = (
         [(c.name, c.rows, c.columns) for c in group] for group in (nominal.cameras, cameras)
@@ -285,7 +254,7 @@ def check_true_cameras(value: Any, path: Path, nominal: CamerasFile) -> tuple[Ca
     _check_cameras(cameras, path)
     walls = _walls(loaded.wall, len(cameras)) if loaded.wall else nominal.walls_of_cameras()
     check_walls(path, walls, len(cameras))
-    check_lengths(path, walls, cameras, nominal.grid)
+    _check_counts(path, walls, cameras, nominal.grid)
     return behind(walls, cameras)
 
 

@@ -21,7 +21,7 @@ from sabench.dataset.reader import Dataset
 from sabench.images.tiff_exr import read_exr, read_tiff, write_tiff
 from sabench.scenes.sensor import Sensor
 from sabench.utils.arrays import U16, Bool
-from sabench.utils.errors import InputError
+from sabench.utils.errors import MOST, InputError
 from sabench.utils.files import complete_or_nothing, inside, read_json, zip_folder
 from sabench.utils.progress import progress_bar
 
@@ -136,7 +136,6 @@ def _copy_file(root: Path, folder: Path, name: str) -> None:
     shutil.copyfile(inside(root, name), place)
 
 
-_MOST_FAULTS = 100
 _ROUNDING = {"float64": 1e-9, "float32": 1e-6}  # relative to the largest value of an array
 _FEW = (5, 1e-3)  # pixels, or share of all, whose rays may take another path
 _RADIANCE = 1e-3  # of the brightest pixel
@@ -150,12 +149,12 @@ _DETECTED_PX, _OTHERWISE_DETECTED = 0.2, 0.02  # of points found in images: dist
 def disagreements(one: Dataset, other: Dataset) -> list[str]:
     """Find where two copies of a data set differ by more than rounding and noise.
 
-    One sentence for each difference, the first hundred; none if the copies agree. Both must be
+    One sentence for each difference, the first twenty; none if the copies agree. Both must be
     intact: see `verify`.
 
     Raises InputError if one of them is an observation side alone.
     """
-    return list(itertools.islice(_differences(one, other), _MOST_FAULTS))
+    return list(itertools.islice(_differences(one, other), MOST))
 
 
 def _differences(one: Dataset, other: Dataset) -> Iterator[str]:

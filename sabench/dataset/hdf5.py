@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from sabench.utils import memory
 from sabench.utils.errors import InputError
+from sabench.utils.files import LARGEST_DATA, LARGEST_TEXT
 
 # filters that a data set may have, in this order, and the bit of each
 _FILTERS = ((), (h5py.h5z.FILTER_DEFLATE,), (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE))
@@ -100,11 +101,6 @@ def _deflated(filters: tuple[int, ...], chunk: Any) -> bool:
     return bool(filters) and not chunk.filter_mask >> (len(filters) - 1) & 1
 
 
-_LONGEST = 1 << 20  # characters of an attribute
-_MOST_NAMES = 100_000  # members of a group
-_SMALL = 1 << 26  # bytes that may be read without a check of their cost
-# of a data set whose length the file itself sets: 80 million particles
-_OPEN_BYTES = 2_000_000_000
 _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 
 
@@ -246,18 +242,18 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
             f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need "
             f"{2.0 * size / 1e6:.0f} MB"
         )
-    if is_open and size > _OPEN_BYTES:
+    if is_open and size > LARGEST_DATA:
         raise InputError(
-            f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of "
+            f"{where}: expected at most {LARGEST_DATA / 1e6:.0f} MB of values, got {node.shape} of "
             f"{node.dtype}"
         )
-    if is_open and size > _SMALL and size > _DENSEST * stored:
+    if is_open and size > LARGEST_TEXT and size > _DENSEST * stored:
         raise InputError(
             f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in "
             f"{stored} bytes"
         )
     piece = chunk_bytes(node) if node.chunks else 0
-    if piece > max(_SMALL, 2 * size):
+    if piece > max(LARGEST_TEXT, 2 * size):
         raise InputError(
             f"{where}: expected chunks no larger than the data set, got {node.chunks} of "
             f"{node.dtype} for shape {node.shape}"
@@ -301,7 +297,7 @@ def walk(path: Path) -> None:
     with open_hdf5(path) as file:
         for name in file.attrs:
             identity = file.attrs.get_id(name)
-            if identity.shape == () and identity.get_storage_size() <= _LONGEST:
+            if identity.shape == () and identity.get_storage_size() <= LARGEST_TEXT:
                 file.attrs[name]
         file.visititems(look)
 
@@ -314,10 +310,6 @@ def names_in(file: Any, group: str) -> set[str]:
         node = node[part] if isinstance(link, h5py.HardLink) else None
         if not isinstance(node, h5py.Group):
             return set()
-    if len(node) > _MOST_NAMES:
-        raise InputError(
-            f"{file.filename}: {group}: expected at most {_MOST_NAMES} members, got {len(node)}"
-        )
     return set(node)
 
 
@@ -335,7 +327,7 @@ def _attribute(file: Any, name: str) -> Any:
     identity = file.attrs.get_id(name)
     dtype = _dtype(identity, where)
     single = identity.shape is not None and math.prod(identity.shape) == 1
-    if not single or dtype.kind not in "iufbSO" or dtype.itemsize > _LONGEST:
+    if not single or dtype.kind not in "iufbSO" or dtype.itemsize > LARGEST_TEXT:
         raise InputError(
             f"{where}: expected one string or number, got {dtype} of shape {identity.shape}"
         )
@@ -343,9 +335,9 @@ def _attribute(file: Any, name: str) -> Any:
     value = np.asarray(value).reshape(-1)[0] if isinstance(value, np.ndarray) else value
     value = value.item() if isinstance(value, np.generic) else value
     value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-    if not isinstance(value, str | int | float) or len(str(value)) > _LONGEST:
+    if not isinstance(value, str | int | float) or len(str(value)) > LARGEST_TEXT:
         raise InputError(
-            f"{where}: expected one string or number of at most {_LONGEST} characters, got "
+            f"{where}: expected one string or number of at most {LARGEST_TEXT} characters, got "
             f"{type(value).__name__}"
         )
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value

@@ -15,11 +15,11 @@ from sabench.images.levels import GreyValues
 from sabench.images.peaks import find_above
 from sabench.images.preprocessing import MatchHistograms, Step, preprocess, step_faults
 from sabench.plotting.drawing import Figure, Panel, Picture
+from sabench.plotting.pictures import GAMMA
 from sabench.utils.arrays import F64, U16, Bool
 from sabench.utils.errors import InputError
 
 _WINDOW_PX = 96  # edge of the part that is also shown enlarged
-_GAMMA = 1.0 / 2.2
 _INCH = 4.5  # width of a picture
 _RING_PX = 3.0
 
@@ -214,7 +214,7 @@ def preview_figure(shown: Preview) -> Figure:
 def _panel(stage: PreviewStage, window: tuple[slice, slice], *, marked: bool) -> Panel:
     """Draw part of an image; its peaks are marked by circles where it is enlarged."""
     down, across = window
-    light = np.maximum(stage.image[window] - stage.dark.level[window], 0.0) ** _GAMMA
+    light = np.maximum(stage.image[window] - stage.dark.level[window], 0.0) ** GAMMA
     column, row = stage.peaks.T
     inside = (row >= down.start) & (row < down.stop)
     inside &= (column >= across.start) & (column < across.stop)

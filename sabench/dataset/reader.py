@@ -2,8 +2,7 @@
 
 import contextlib
 import functools
-import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +26,7 @@ from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.files import inside
+from sabench.utils.files import inside, is_file, read_toml
 from sabench.utils.validation import validate
 
 
@@ -198,10 +197,7 @@ class Dataset(StoredFrames):
     def scene(self) -> Scene:
         """Read the resolved scene: truth, not for solvers."""
         path = self._truth(schema.SCENE)
-        try:
-            scene = validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{path}: expected a TOML file, got {error}") from error
+        scene = validate(Scene, read_toml(path), str(path))
         return scene.with_files(
             {table: inside(self.root, file.as_posix()) for table, file in scene.files.items()}
         )
@@ -389,3 +385,11 @@ def open_dataset(path: str | Path) -> Dataset:
             "sabench.open_samples"
         )
     return Dataset(root, contents)
+
+
+def datasets_in(folder: Path) -> Iterator[Dataset]:
+    """Open the data sets that a folder is or holds; skip what cannot be read."""
+    for root in (folder, *sorted(folder.iterdir())):
+        if not root.name.startswith(".") and is_file(root / schema.MANIFEST):
+            with contextlib.suppress(InputError):
+                yield open_dataset(root)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.api.truth import Target
+from sabench.utils.arrays import LARGEST
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, digest, inside, read_json, sha256
 from sabench.utils.validation import Model, validate
@@ -21,8 +22,7 @@ CAMERAS, TRUE_CAMERAS = "cameras.json", "true_cameras.json"
 TARGET, POINTS = "target.json", "points.h5"
 INDEX = "samples.csv"  # of independent samples: where each lies
 MOST_SAMPLES = 100_000_000  # of a data set
-MOST_POINTS = 1_000_000  # of a target
-_LARGEST_MM = 1e6  # pitch of a target: a kilometre
+MOST = 1_000_000  # frames, points of a target, pixels and voxels along a side
 SIDES = ("observation", "truth")  # folders of shards
 REFERENCES = "images.json"  # of a recorded data set whose images lie elsewhere
 MASKS = "masks"  # folder of images that mark the pixels that count
@@ -273,12 +273,12 @@ def read_target(root: Path) -> Target:
         or target.columns * target.rows < 2
         or target.pitch_mm <= 0.0
         or not 0.0 <= target.mark_mm < target.pitch_mm
-        or target.columns * target.rows > MOST_POINTS
-        or target.pitch_mm > _LARGEST_MM
+        or target.columns * target.rows > MOST
+        or target.pitch_mm > LARGEST
     ):
         raise InputError(
-            f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm of at most "
-            f"{_LARGEST_MM:g} and a smaller mark_mm, got {target}"
+            f"{path}: target: expected 2 to {MOST} points, a positive pitch_mm of at most "
+            f"{LARGEST:g} and a smaller mark_mm, got {target}"
         )
     return target
 

@@ -17,7 +17,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.sample_set import open_samples
 from sabench.dataset.shards import Shard, describe_shard, plan_shards
 from sabench.dataset.stored_samples import StoredShard
-from sabench.utils.errors import InputError, UncheckedError, one_line
+from sabench.utils.errors import LISTED, MOST, InputError, UncheckedError, one_line
 from sabench.utils.files import inside, is_file
 from sabench.utils.processes.call import preload, read_isolated
 from sabench.utils.progress import progress_bar
@@ -104,12 +104,8 @@ def _walk_all(root: Path, names: Sequence[str]) -> None:
         walk(inside(root, name))
 
 
-_MOST_FAULTS = 100  # a file may claim any number of frames
-_LONGEST = 400  # characters of a fault
-
-
 def verify(path: str | Path) -> list[str]:
-    """Find a data set's faults: one short sentence each, the first hundred.
+    """Find a data set's faults: one short sentence each, the first twenty.
 
     Each names the file; the list is empty if the data set is intact.
 
@@ -125,14 +121,15 @@ def verify(path: str | Path) -> list[str]:
         manifest = schema.read_manifest(root)
     except InputError as error:
         return [_sentence(error)]
-    faults = list(itertools.islice(_byte_faults(root, manifest), _MOST_FAULTS))
+    # a file may claim any number of frames
+    faults = list(itertools.islice(_byte_faults(root, manifest), MOST))
     if not faults:
         if isinstance(manifest, schema.ShardedContents):
             inner = _shard_faults(root, manifest)
         else:
             inner = _content_faults(Dataset(root, manifest))
-        faults = list(itertools.islice(inner, _MOST_FAULTS))
-    return [one_line(fault, _LONGEST) for fault in faults]
+        faults = list(itertools.islice(inner, MOST))
+    return [one_line(fault, LISTED) for fault in faults]
 
 
 def describe_contents(path: str | Path) -> str:
@@ -253,5 +250,5 @@ def _try(read: Callable[[], object]) -> Iterator[str]:
 def _sentence(error: Exception) -> str:
     """Describe the fault in one short sentence; of several faults it gives the first."""
     if isinstance(error, InputError) and len(error.faults) > 1:
-        return one_line(f"{str(error).splitlines()[0]} {error.faults[0]}, ...", _LONGEST)
-    return one_line(str(error), _LONGEST)
+        return one_line(f"{str(error).splitlines()[0]} {error.faults[0]}, ...", LISTED)
+    return one_line(str(error), LISTED)

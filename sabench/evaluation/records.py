@@ -15,10 +15,11 @@ from typing import Any
 
 from filelock import FileLock
 
-from sabench.evaluation.record_schema import FORMAT, LONGEST_LINE, VERSION, Record, parse_record
+from sabench.evaluation.record_schema import FORMAT, VERSION, Record, parse_record
+from sabench.evaluation.solver_card import LONGEST_TEXT
 from sabench.utils import backend
-from sabench.utils.errors import InputError
-from sabench.utils.progress import console
+from sabench.utils.errors import MOST, InputError
+from sabench.utils.progress import say
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
 
@@ -59,8 +60,6 @@ def version_of(package: str) -> str:
     return importlib.metadata.version(package)
 
 
-_MOST_WARNINGS = 100  # warnings for one file
-
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "machine", "submission")
 
 
@@ -86,10 +85,11 @@ def _read_file(path: Path) -> Iterator[Record]:
             if not ended:
                 continue
             bad += 1
-            if bad <= _MOST_WARNINGS:
-                _warn(f"{path}: line {number} is left out: expected a record, got {error}")
-    if bad > _MOST_WARNINGS:
-        _warn(f"{path}: {bad - _MOST_WARNINGS} more lines are left out")
+            if bad <= MOST:
+                text = f"{path}: line {number} is left out: expected a record, got {error}"
+                say(printable(text, 1000), "red")
+    if bad > MOST:
+        say(f"{path}: {bad - MOST} more lines are left out", "red")
 
 
 def _lines(path: Path) -> Iterator[tuple[bytes, bool]]:
@@ -98,15 +98,11 @@ def _lines(path: Path) -> Iterator[tuple[bytes, bool]]:
     Of a line that is too long only the first bytes are held in memory.
     """
     with path.open("rb") as file:
-        while line := file.readline(LONGEST_LINE + 1):
+        while line := file.readline(LONGEST_TEXT + 1):
             last = line
-            while not last.endswith(b"\n") and (last := file.readline(LONGEST_LINE)):
+            while not last.endswith(b"\n") and (last := file.readline(LONGEST_TEXT)):
                 pass
             yield line, last.endswith(b"\n")
-
-
-def _warn(text: str) -> None:
-    console.print(printable(text, 1000), style="red", markup=False, highlight=False, soft_wrap=True)
 
 
 def append(path: Path, record: Record) -> None:

@@ -36,7 +36,7 @@ from sabench.tasks.visible_files import hide_from_solvers
 from sabench.utils.backend import Renderer
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.files import complete_or_nothing, digest
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.utils.version import SIMULATION, __version__
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "code_hash")
@@ -79,7 +79,7 @@ def run_suite(
             missing = [pair for pair, key in zip(heads, keys, strict=True) if key not in existing]
             records += [existing[key] for key in keys if key in existing]
             done = "" if missing else ", known"
-            _say(f"data set {number} of {len(wanted)}: {case.name}, {case.words}{done}")
+            say(f"data set {number} of {len(wanted)}: {case.name}, {case.words}{done}")
             _say_changed(heads[0][1], existing)
             if missing:
                 dataset = dataset_of(case, work, fresh, jobs)
@@ -106,21 +106,17 @@ def _say_changed(head: Record, existing: dict[str, Record]) -> None:
     same = ("suite", "case", "recorded")
     for record in existing.values() if head["recorded"] else ():
         if key_of(record, same) == key_of(head, same) and record["dataset"] != head["scene_hash"]:
-            _say(
+            say(
                 f"recording {head['case']}: it has changed since its record of {record['date']}, "
                 "which stays on the page"
             )
             return
 
 
-def _say(text: str) -> None:
-    console.print(text, markup=False, highlight=False)
-
-
 def build_board(leaderboard: Path) -> Path:
     """Build the page from the records; return its path."""
     page, records = leaderboard / "index.html", latest(read_records(leaderboard / "records"))
-    console.print(f"page of {len(records)} records", markup=False, highlight=False)
+    say(f"page of {len(records)} records")
     board.build_page(records, leaderboard / "pictures", page)
     return page
 
@@ -146,7 +142,7 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
         # the versions that the content of a data set depends on
         tools = {"sabench": __version__, "simulation": SIMULATION, "mitsuba": version_of("mitsuba")}
         if tools.items() <= dataset.manifest.versions.items():
-            console.print(f"data set {folder} is intact: used again")
+            say(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
     return generate(
@@ -211,7 +207,7 @@ def _rank(
             if folder:
                 _picture_result(folder / name, record["task"], dataset, out, judged.residuals)
         except InputError as error:
-            console.print(f"error: {error}", style="red", markup=False, highlight=False)
+            say(f"error: {error}", "red")
             record["error"], record["declined"] = str(error), isinstance(error, DeclinedError)
         if not suite.keep_data:
             out.unlink(missing_ok=True)

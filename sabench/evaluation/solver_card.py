@@ -11,8 +11,8 @@ from sabench.utils.errors import InputError
 from sabench.utils.validation import printable, validate
 
 CARD = "card.toml"  # names of cards in a submission end so
-_LONGEST = 1000  # characters of a text
-_LONGEST_FILE = 100_000  # bytes
+LONGEST_TEXT = 100_000  # bytes of a card, and of a record
+MOST_CASES = 1000  # of a suite, and so files of a submission
 
 
 def _check_text(text: str) -> str:
@@ -21,7 +21,7 @@ def _check_text(text: str) -> str:
     return text
 
 
-_Text = Annotated[str, Field(max_length=_LONGEST), AfterValidator(_check_text)]
+_Text = Annotated[str, AfterValidator(_check_text)]
 
 
 class SolverCard(BaseModel):
@@ -57,9 +57,9 @@ def read_card(path: Path, name: str | None = None) -> SolverCard:
     shown = printable(name or str(path), 200)
     try:
         with path.open("rb") as file:
-            content = file.read(_LONGEST_FILE + 1)
-        if len(content) > _LONGEST_FILE:
-            raise ValueError(f"more than {_LONGEST_FILE} bytes")
+            content = file.read(LONGEST_TEXT + 1)
+        if len(content) > LONGEST_TEXT:
+            raise ValueError(f"more than {LONGEST_TEXT} bytes")
         values = tomllib.loads(content.decode("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         reason = error.strerror if isinstance(error, OSError) else printable(str(error))

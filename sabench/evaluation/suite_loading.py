@@ -28,6 +28,8 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import verify
+from sabench.evaluation.record_schema import LONGEST_NAME
+from sabench.evaluation.solver_card import MOST_CASES
 from sabench.evaluation.suites import (
     Case,
     CaseSpec,
@@ -44,8 +46,8 @@ from sabench.tasks.quality import FIGURES_OF, quality, residual_picture
 from sabench.tasks.solve_and_score import costs_of, describe_solver
 from sabench.utils.backend import choose_renderer
 from sabench.utils.errors import InputError
-from sabench.utils.files import digest, is_file, is_folder
-from sabench.utils.progress import console
+from sabench.utils.files import digest, is_file, is_folder, read_toml
+from sabench.utils.progress import say
 from sabench.utils.validation import printable, validate
 
 
@@ -135,7 +137,7 @@ def judge(case: RecordedCase, out: Path) -> Judged:
     options = case.quality
     judged = quality(case.data, out, frames=options.frames, solve_again=options.again)
     for note in judged.notes:
-        console.print(f"note: {note}", markup=False, highlight=False)
+        say(f"note: {note}")
     scores["quality"] = {**options.model_dump(), "figures": judged.figures}
     left = judged.left
     return Judged(scores, None if left is None else residual_picture(case.data, left))
@@ -183,8 +185,6 @@ def read_secret(path: Path) -> Secret:
     return validate(Secret, values, str(path))
 
 
-_MOST_CASES = 1000
-_LONGEST_CASE = 200  # characters of a name
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 Load = Callable[[str | Path], Scene]
 _Table = TypeVar("_Table", Suite, CaseSpec, RecordingSpec)
@@ -211,8 +211,8 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
         _resolve(spec.model_copy(update={"solvers": spec.solvers or suite.solvers}), file)
         for spec in suite.recordings
     ]
-    if (count := len(specs) + len(recordings)) > _MOST_CASES:
-        raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {count}")
+    if (count := len(specs) + len(recordings)) > MOST_CASES:
+        raise InputError(f"{file}: scenes, cases: expected at most {MOST_CASES}, got {count}")
     # before the scenes are built, which takes long
     names = [name for spec in specs for name, _ in _names(spec, file)]
     _check_names([*names, *(recording_name(spec, file) for spec in recordings)], file)
@@ -233,11 +233,7 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
 
 
 def _read_suite(file: Path) -> Suite:
-    try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{file}: expected a TOML file, got {error}") from error
-    return validate(Suite, values, str(file))
+    return validate(Suite, read_toml(file), str(file))
 
 
 def is_public(scene_hash: str, seed: int) -> bool:
@@ -383,9 +379,9 @@ def _variants(
 def _names(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Make name and axes for every combination of the varied values."""
     count = math.prod(len(values) for values in spec.vary.values())
-    if count > _MOST_CASES:
+    if count > MOST_CASES:
         raise InputError(
-            f"{suite}: {spec.scene}: vary: expected at most {_MOST_CASES} cases, got {count}"
+            f"{suite}: {spec.scene}: vary: expected at most {MOST_CASES} cases, got {count}"
         )
     base = _UNSAFE.sub("_", Path(spec.scene).stem)
     for choice in itertools.product(*(enumerate(values, 1) for values in spec.vary.values())):
@@ -404,9 +400,9 @@ def _tag(key: str, value: Any, number: int) -> str:
 
 def _check_names(names: list[str], file: Path) -> None:
     longest = max(names, key=len)
-    if len(longest) > _LONGEST_CASE:
+    if len(longest) > LONGEST_NAME:
         raise InputError(
-            f"{file}: case {printable(longest)}: expected a name of at most {_LONGEST_CASE} "
+            f"{file}: case {printable(longest)}: expected a name of at most {LONGEST_NAME} "
             f"characters, got {len(longest)}: give it a shorter one"
         )
     # some file systems do not distinguish a from A

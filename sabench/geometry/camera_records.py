@@ -22,10 +22,10 @@ from sabench.geometry.central_camera import CentralCamera
 from sabench.geometry.lens import UPRIGHT
 from sabench.geometry.polynomial_cameras import PlanePolynomials, Soloff
 from sabench.geometry.projective_camera import Projective
-from sabench.utils.arrays import U8
+from sabench.utils.arrays import LARGEST, U8
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
-from sabench.utils.validation import UNION_TAG
+from sabench.utils.validation import UNION_TAG, printable
 
 MODELS: dict[str, type[Any]] = {
     "pinhole": Camera,
@@ -34,9 +34,6 @@ MODELS: dict[str, type[Any]] = {
     "polynomial_planes": PlanePolynomials,
     "central": CentralCamera,
 }
-
-
-_LARGEST = 1e12  # no length or coefficient of a camera is beyond it
 
 
 def _model_of(value: Any) -> str:
@@ -98,10 +95,7 @@ def read_camera(record: Any, where: str) -> CameraModel:
         models = ", ".join(sorted(MODELS))
         raise InputError(f"{where}: model: expected one of {models}, got {model!r}")
     fields = _without_model(record)
-    if bad := _extreme(fields):
-        raise InputError(
-            f"{where}: {bad[0]}: expected finite numbers of at most {_LARGEST:g}, got {bad[1]!r}"
-        )
+    check_largest(fields, where)
     try:
         return cast(CameraModel, _validator(model).validate_python(fields))
     except ValidationError as error:
@@ -115,10 +109,19 @@ def _validator(model: str) -> TypeAdapter[Any]:
     return TypeAdapter(MODELS[model])  # takes 8 ms
 
 
+def check_largest(value: Any, where: str) -> None:
+    """Refuse a number in tables and lists that is not finite or too large."""
+    if bad := _extreme(value):
+        raise InputError(
+            f"{where}: {bad[0]}: expected finite numbers of at most {LARGEST:g}, got "
+            f"{printable(str(bad[1]))}"
+        )
+
+
 def _extreme(value: Any, key: str = "") -> tuple[str, float] | None:
     """Find a number that is not finite or too large, with the name of its field."""
     if isinstance(value, int | float):
-        return None if -_LARGEST <= value <= _LARGEST else (key, value)
+        return None if abs(value) <= LARGEST else (key, value)
     if isinstance(value, dict):
         items = [(f"{key}.{name}" if key else str(name), inner) for name, inner in value.items()]
     else:

@@ -15,6 +15,7 @@ from sabench.dataset.results import read_result_cameras
 from sabench.dataset.schema import CAMERAS
 from sabench.dataset.verification import probe
 from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.common_view import lattice_of
 from sabench.geometry.grid import Grid
 from sabench.interop import (
     lpt_challenge,
@@ -118,7 +119,7 @@ def write_into(
     from sabench.interop.openptv import world_of
 
     world = world_of(grid) if form == "openptv" and grid is not None else ForeignWorld()
-    points = None if grid is None else lpt_challenge.lattice(grid)
+    points = None if grid is None else lattice_of(grid)
     try:
         _MODULES[form].write_cameras(folder, cameras, world, points)
     except ValueError as error:

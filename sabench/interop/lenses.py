@@ -27,11 +27,8 @@ from sabench.utils.errors import InputError
 
 PIXEL_MM = 0.01  # pixel size for files with focal lengths in pixels; no projection depends on it
 F_NUMBER = 8.0  # no format has one
-_ROUNDED = 1e-12  # change of a rotation due to double precision
+_ROUNDED = 1e-12  # change of a rotation, or of a ratio of focal lengths, due to double precision
 _LARGEST_CHANGE = 1e-3  # largest correction of a printed rotation's elements
-_SQUARE = 1e-12  # relative difference of focal lengths along columns and rows
-_LEAST_SOLID = 1.38  # refractive index: less than that of glass and plastic, more than water's
-_MOST_AIR = 1.01
 _NEAREST_MM, _FARTHEST_MM = 15.0, 1e5  # distances between cameras in mm; others are other units
 
 
@@ -116,9 +113,9 @@ def camera_of_matrix(
     It is a `Camera` if its pixels are square, else a `CentralCamera`.
     """
     scale = matrix / matrix[2, 2]
-    focal, square = float(scale[0, 0]), abs(scale[1, 1] - scale[0, 0]) <= _SQUARE * scale[0, 0]
+    focal, square = float(scale[0, 0]), abs(scale[1, 1] - scale[0, 0]) <= _ROUNDED * scale[0, 0]
     check_positive(pose.where, "focal length", focal, float(scale[1, 1]))
-    if square and abs(scale[0, 1]) <= _SQUARE * focal:
+    if square and abs(scale[0, 1]) <= _ROUNDED * focal:
         middle = (float(scale[0, 2]), float(scale[1, 2]))
         return plain_camera(pose, focal, middle, distortion, pixel_mm)
 
@@ -191,11 +188,12 @@ def center_of(rotation: F64, translation: F64) -> F64:
 def check_media(where: str, indices: Sequence[float]) -> None:
     """Warn if refractive indices, from the camera to the fluid, look exchanged.
 
-    They are kept: the file's orientations were fitted with them.
+    Light goes from air through a solid into a fluid of a lower index. They are kept: the file's
+    orientations were fitted with them.
     """
-    camera, fluid, solid = indices[0], indices[-1], max([1.0, *indices[1:-1]])
-    exchanged = len(indices) > 2 and solid < _LEAST_SOLID <= fluid
-    if exchanged or camera > _MOST_AIR >= fluid:
+    camera, fluid, solids = indices[0], indices[-1], indices[1:-1]
+    exchanged = len(solids) > 0 and max(solids) < fluid
+    if exchanged or camera > fluid:
         listed = ", ".join(f"{index:g}" for index in indices)
         wrong = "wall and fluid" if exchanged else "the camera's side and the fluid"
         note(
@@ -252,13 +250,10 @@ def _scaled_wall(wall: WallRecord | None, factor: float) -> WallRecord | None:
     return replace(wall, point_mm=triple(np.asarray(wall.point_mm) * factor), layers=layers)
 
 
-_CLEARLY = 0.5  # largest ratio of residuals that favours the exchanged indices
-
-
 def choose_indices(
     path: Path, cameras: Sequence[CameraModel], points_mm: F64, pixels: F64
 ) -> list[CameraModel]:
-    """Exchange the indices of wall and fluid if points then fit twice as well.
+    """Exchange the indices of wall and fluid if points then fit better.
 
     Parameters
     ----------
@@ -277,7 +272,7 @@ def choose_indices(
     if all(other is camera for other, camera in zip(others, cameras, strict=True)):
         return list(cameras)
     as_read, exchanged = (_residual_px(group, points_mm, pixels) for group in (cameras, others))
-    if exchanged <= _CLEARLY * as_read:
+    if exchanged < as_read:
         note(
             f"{path}: the refractive indices of wall and fluid were exchanged: the points then fit "
             f"to {exchanged:.3g} px, and as in the file to {as_read:.3g} px"

@@ -18,7 +18,6 @@ import numpy as np
 from scipy.linalg import rq
 
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.grid import Grid
 from sabench.geometry.lens import Distortion
 from sabench.geometry.polynomial_cameras import fit_soloff
 from sabench.geometry.projective_camera import Projective, fit_projective
@@ -35,7 +34,6 @@ LOST_OF_CAMERAS = (
     "walls: the points show their effect",
 )
 _FILE = "CalibPoints.txt"
-_NODES = 15  # nodes of the lattice along each edge of the volume
 _HELD = 3  # every third point is held out of the comparison of models
 _SQUARE = 1e-4  # shear and difference of focal lengths of a fit that counts as square pixels
 _NO_WORSE = 1.1  # largest ratio of errors that favours the simpler model
@@ -109,14 +107,6 @@ def _pinhole(camera: Projective, where: str) -> CameraModel | None:
     )
     middle = (float(upper[0, 2]), float(upper[1, 2]))
     return replace(plain_camera(pose, focal, middle, Distortion(), PIXEL_MM), name=camera.name)
-
-
-def lattice(grid: Grid) -> F64:
-    """Make a lattice of points (n, 3) over the volume of a grid."""
-    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
-    high = low + voxel * (np.asarray(grid.shape[::-1]) - 1)
-    axes = [np.linspace(a, b, _NODES) for a, b in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:

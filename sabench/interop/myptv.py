@@ -245,7 +245,6 @@ LOST_OF_TRACKS = (
 )
 _NAMES = ("smoothed_trajectories", "trajectories", "particles")
 _SMOOTHED = 11  # columns
-_SIDE = 3.0  # width of blobs of unknown size, in pixels
 
 
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> foreign.TrackTable:
@@ -315,7 +314,7 @@ def write_tracks(folder: Path, table: foreign.TrackTable, recording: foreign.Rec
         frame = table.frame[visible]
         first = np.searchsorted(frame, frame)
         blobs[visible, column] = np.arange(len(visible)) - first
-        size = np.tile([_SIDE, _SIDE, _SIDE**2], (len(visible), 1))
+        size = np.tile([foreign.BLOB_PX, foreign.BLOB_PX, foreign.BLOB_PX**2], (len(visible), 1))
         _write(folder / f"blobs_cam{column + 1}", np.column_stack([pixels[visible], size, frame]))
     tail = np.column_stack([blobs, np.zeros(len(table)), table.frame])
     _write(folder / "particles", np.column_stack([table.position_mm, tail]))

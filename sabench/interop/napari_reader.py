@@ -13,8 +13,6 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
 
-_MOST_PLACES = 200_000  # points in a camera's layer, exceeded by one frame at most
-
 _Layer = tuple[Any, dict[str, Any], str]
 
 
@@ -56,8 +54,6 @@ def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[_Layer
 def read_layers(path: str | list[str]) -> list[_Layer]:
     """Return a layer of images of each camera, and one of its true particles.
 
-    The particles are those of the first frames, up to some 200,000 images of each camera.
-
     Raises InputError if the folder is no data set.
     """
     data = open_dataset(_first(path))
@@ -73,8 +69,6 @@ def read_layers(path: str | list[str]) -> list[_Layer]:
                 view = data.views(frame)[number]
                 column, row = view.pixel[view.visible].T
                 places.append(np.column_stack([np.full(len(row), frame), row, column]))
-                if sum(map(len, places)) >= _MOST_PLACES:
-                    break
             layers.append((np.concatenate(places), shown | style, "points"))
     return layers
 

@@ -22,7 +22,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import UPRIGHT
 from sabench.geometry.refraction import Wall
-from sabench.interop.foreign import Recording, TrackTable
+from sabench.interop.foreign import BRIGHT, WHITE, Recording, TrackTable
 from sabench.interop.named_columns import table_of_columns
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.errors import InputError
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 LEAST_FRAMES = 5  # needed to estimate the optical transfer function
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # settings of its projection through plates
 _SKIN_MM = 1e-3  # thickness of fluid in place of a plate where a wall has none
-# grey values of a bright particle's peak and of the brightest pixel: two particles may overlap
-_BRIGHT, _WHITE = 160.0, 255
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ def derive_settings(
     floor : smallest peak of a particle image, over a bright particle's; more if noise demands it.
     """
     return Settings(
-        threshold=round(_BRIGHT * max(floor, seen.floor)),
+        threshold=round(BRIGHT * max(floor, seen.floor)),
         radius_px=2.5 * seen.sigma_px,
         move_mm=0.5 * displacement_px * seen.mm_per_px,
         spacing_mm=seen.spacing_mm,
@@ -203,7 +201,7 @@ def write_frame(folder: Path, frame: int, images: F32) -> None:
     for camera, image in enumerate(images):
         path = folder / f"cam{camera}" / f"{frame:05d}.tif"
         path.parent.mkdir(exist_ok=True)
-        tifffile.imwrite(path, np.clip(np.rint(_BRIGHT * image), 0, _WHITE).astype(np.uint8))
+        tifffile.imwrite(path, np.clip(np.rint(BRIGHT * image), 0, WHITE).astype(np.uint8))
 
 
 def write_project(
@@ -231,7 +229,7 @@ def write_project(
         "1",
         str(settings.threads),
         str(count),
-        *(f"{home}/cam{number}.txt,{_WHITE}" for number in range(count)),
+        *(f"{home}/cam{number}.txt,{WHITE}" for number in range(count)),
         *(f"{home}/cam{number}ImageNames.txt" for number in range(count)),
         _row(ends.ravel()),
         repr(settings.mm_per_px),

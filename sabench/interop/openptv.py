@@ -24,7 +24,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.refraction import Wall
-from sabench.interop.foreign import ForeignWorld
+from sabench.interop.foreign import BRIGHT, WHITE, ForeignWorld
 from sabench.utils.arrays import F32, F64, I64, U8, triple
 from sabench.utils.files import read_json
 from sabench.utils.processes import python
@@ -34,7 +34,6 @@ if TYPE_CHECKING:  # it loads numba, which scores do without
 
 MOST_CAMERAS = 4
 _AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # axes of OpenPTV's world in ours
-_BRIGHT, _WHITE = 160.0, 255  # grey values of a bright particle's peak and of the brightest pixel
 _BETWEEN = 0.5  # position of a thin wall, as a fraction of the distance to a camera without one
 
 
@@ -77,7 +76,7 @@ def derive_settings(
     change : largest change of a displacement, over the largest displacement.
     """
     move = displacement_px * seen.mm_per_px
-    threshold = max(2, round(_BRIGHT * seen.floor))
+    threshold = max(2, round(BRIGHT * seen.floor))
     return Settings(threshold, discontinuity, tolerance_px, move, change * move, angle_gon)
 
 
@@ -197,7 +196,7 @@ def list_media(camera: Camera) -> dict[str, Any]:
 
 def to_8_bits(images: F32) -> U8:
     """Scale images to grey values; a bright particle's peak is 1."""
-    return np.asarray(np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8))
+    return np.asarray(np.clip(np.rint(BRIGHT * images), 0, WHITE).astype(np.uint8))
 
 
 def write_image(path: Path, image: U8) -> None:

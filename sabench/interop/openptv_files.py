@@ -25,7 +25,7 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.lens import Distortion, distort
 from sabench.geometry.refraction import Layer, Wall
 from sabench.interop import lenses, openptv
-from sabench.interop.foreign import ForeignWorld, Recording, TrackTable, note, unit_mm
+from sabench.interop.foreign import BLOB_PX, ForeignWorld, Recording, TrackTable, note, unit_mm
 from sabench.interop.openptv import join_links
 from sabench.utils.arrays import F64, I64, triple
 from sabench.utils.errors import InputError
@@ -269,8 +269,6 @@ LOST_OF_TRACKS = (
     "light of each camera, covariances and probabilities",
     "sizes of targets (they are 3 x 3 pixels)",
 )
-_SIDE = 3  # width of targets of unknown size, in pixels
-_CAMERAS = 4  # columns of rt_is
 
 
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
@@ -338,8 +336,8 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     parts = [table.of_frame(frame) for frame in range(frames)]
     for frame, part in enumerate(parts):
         targets = _write_targets(folder, part, cameras, FIRST + frame)
-        rows = np.full((len(part), _CAMERAS), -1)
-        rows[:, : len(cameras)] = targets[:, :_CAMERAS]
+        rows = np.full((len(part), openptv.MOST_CAMERAS), -1)
+        rows[:, : len(cameras)] = targets[:, : openptv.MOST_CAMERAS]
         lines = [
             f"{n:4d} {x!r} {y!r} {z!r} " + " ".join(map(str, row))
             for n, ((x, y, z), row) in enumerate(
@@ -389,7 +387,7 @@ def _write_targets(
         visible = visible[np.argsort(pixels[visible, 1], kind="stable")]
         targets[visible, column] = np.arange(len(visible))
         lines = [
-            f"{n:4d} {x + 0.5:9.4f} {y + 0.5:9.4f} {_SIDE**2:5d} {_SIDE:5d} {_SIDE:5d} "
+            f"{n:4d} {x + 0.5:9.4f} {y + 0.5:9.4f} {BLOB_PX**2:5d} {BLOB_PX:5d} {BLOB_PX:5d} "
             f"{max(1, round(grey[row])):5d} {row:5d}"
             for n, ((x, y), row) in enumerate(
                 zip(pixels[visible].tolist(), visible.tolist(), strict=True)

@@ -6,12 +6,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from sabench.dataset.cameras import (
-    behind,
-    check_walls,
-    wall_entry,
-    write_cameras as write_file,
-)
+from sabench.dataset.cameras import behind, check_walls, wall_entry, write_cameras as write_file
 from sabench.dataset.schema import CAMERAS
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import read_camera

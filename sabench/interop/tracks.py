@@ -18,7 +18,7 @@ from sabench.interop import lpt_challenge, myptv, openlpt, openptv_files
 from sabench.interop.foreign import LENGTHS_MM, Recording, TrackTable, note, read_world
 from sabench.interop.named_columns import CSV, MATLAB, NETCDF, NamedColumns
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
+from sabench.utils.errors import LISTED, InputError, one_line
 from sabench.utils.files import refuse_existing
 
 TrackFormat = Literal["openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"]
@@ -71,9 +71,7 @@ def write_tracks(folder: Path, table: TrackTable, form: TrackFormat, recording: 
     _MODULES[form].write_tracks(folder, table, recording)
 
 
-_AROUND = 0.25  # margin around the volume for particles inside, share of its edges
-_FEW, _MANY = 0.1, 0.5  # shares of particles in the volume that are too few, and usual
-_LISTED = 10  # frames that a sentence lists
+_FEW = 0.1  # share of particles in the volume that is too small
 
 
 @dataclass(frozen=True)
@@ -149,11 +147,8 @@ def _renumbered(source: Path, table: TrackTable, first: int | None, frames: int)
         )
     empty = np.setdiff1d(np.arange(frames), frame)
     if len(empty):
-        more = f" and {len(empty) - _LISTED} more" if len(empty) > _LISTED else ""
-        note(
-            f"{source}: no particles in the frames "
-            f"{', '.join(str(number) for number in empty[:_LISTED] + begin)}{more}"
-        )
+        listed = one_line(", ".join(map(str, empty + begin)), LISTED)
+        note(f"{source}: no particles in the frames {listed}")
     return replace(table, frame=frame)
 
 
@@ -165,7 +160,7 @@ def _check_places(source: Path, table: TrackTable, grid: Grid, unit: str | None)
     scales = {} if unit is not None else {name: mm for name, mm in LENGTHS_MM.items() if mm != 1.0}
     shares = {name: _share_inside(grid, mm * table.position_mm) for name, mm in scales.items()}
     best = max(shares, key=shares.__getitem__, default="")
-    if best and shares[best] >= _MANY:
+    if best and shares[best] > share:
         raise InputError(
             f"{source}: expected positions in mm, got {100.0 * share:.0f} % of them in the volume, "
             f"and {100.0 * shares[best]:.0f} % if they are in {best}: give the unit"
@@ -181,7 +176,7 @@ def _check_places(source: Path, table: TrackTable, grid: Grid, unit: str | None)
 def _share_inside(grid: Grid, position_mm: F64) -> float:
     size = np.asarray(grid.shape[::-1])
     voxels = grid.to_voxels(position_mm) / size
-    return float(((voxels >= -_AROUND) & (voxels < 1.0 + _AROUND)).all(axis=1).mean())
+    return float(((voxels >= 0.0) & (voxels < 1.0)).all(axis=1).mean())
 
 
 def _estimate(source: Path, table: TrackTable, frame: int) -> FoundParticles:

@@ -41,4 +41,3 @@ from .velocity_error import (
     response as response,
     velocity_scores as velocity_scores,
 )
-from .vortex_rings import circulation as circulation

@@ -74,7 +74,7 @@ HIDDEN = 0.9  # visible fraction of a bubble, mean over the cameras, below which
 AROUND_MM = 6.0  # radius around a bubble for the volume of others
 DENSE = 0.01  # least void fraction of the others around a bubble in a dense place
 FLAT = 0.9  # short over long axis below which the direction of the short axis has a meaning
-_NEAR = 0.5  # of a true bubble's radius
+NEAR = 0.5  # of a true bubble's radius
 
 AnyBubbles = Detections | Bubbles
 
@@ -95,7 +95,7 @@ def match_bubbles(estimate_mm: F64, truth_mm: F64, radius_mm: F64) -> tuple[I64,
     """
     near: Sequence[Sequence[int]] = []
     if len(estimate_mm) and len(truth_mm):
-        near = cKDTree(estimate_mm).query_ball_point(truth_mm, _NEAR * radius_mm)
+        near = cKDTree(estimate_mm).query_ball_point(truth_mm, NEAR * radius_mm)
     pairs = np.array([(i, j) for j, rows in enumerate(near) for i in rows], dtype=np.int64)
     if not len(pairs):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

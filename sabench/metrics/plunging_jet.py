@@ -53,12 +53,7 @@ class JetFigures:
 
 
 def analyse(
-    center_mm: F64,
-    radius_mm: F64,
-    impact_mm: F64,
-    depth_mm: float,
-    edge: float,
-    frames: int = 1,
+    center_mm: F64, radius_mm: F64, impact_mm: F64, depth_mm: float, edge: float, frames: int = 1
 ) -> JetFigures:
     """Analyse the bubbles below a jet that points along +Y.
 

@@ -14,7 +14,7 @@ from sabench.utils.arrays import F64, I64, Bool
 
 _REACH = 3.0  # standard deviations of a particle's image: half its window
 _ROUNDS = 60  # of the fit of light
-_FARTHEST_PX = 1.0  # shift of an image: more is another particle's
+FARTHEST_PX = 1.0  # shift of an image: more is another particle's
 
 
 class Patches(NamedTuple):
@@ -117,7 +117,7 @@ def _shifts(left: F64, patches: Patches, light: F64) -> F64:
     good = np.linalg.det(matrix) > 1e-9 * np.trace(matrix, axis1=1, axis2=2) ** 2
     shift = np.full((len(light), 2), np.nan)
     shift[good] = np.linalg.solve(matrix[good], right[good, :, None])[:, :, 0]
-    far = np.linalg.norm(shift, axis=1) > _FARTHEST_PX
+    far = np.linalg.norm(shift, axis=1) > FARTHEST_PX
     shift[far] = np.nan
     return shift
 

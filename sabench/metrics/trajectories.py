@@ -268,9 +268,6 @@ def _mean(values: F64) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-_FACTORS = {3: np.array([1.0, -2.0, 1.0]), 4: np.array([1.0, -3.0, 3.0, -1.0])}
-
-
 def differences(numbers: Sequence[I64], positions: Sequence[F64], order: int) -> F64:
     """Compute differences (k, 3) of positions of trajectories over frames in a row.
 
@@ -279,17 +276,16 @@ def differences(numbers: Sequence[I64], positions: Sequence[F64], order: int) ->
     numbers, positions : trajectories (n,) and positions (n, 3) in each frame.
     order : 2 or 3, of differences over 3 or 4 frames.
     """
-    factors = _FACTORS[order + 1]
     parts = [np.zeros((0, 3))]
     for first in range(len(numbers) - order):
         window = range(first, first + order + 1)
         common = functools.reduce(np.intersect1d, numbers[first : first + order + 1])
-        total = np.zeros((len(common), 3))
-        for factor, frame in zip(factors, window, strict=True):
+        places = []
+        for frame in window:
             sorter = np.argsort(numbers[frame])
             rows = sorter[np.searchsorted(numbers[frame], common, sorter=sorter)]
-            total += factor * positions[frame][rows]
-        parts.append(total)
+            places.append(positions[frame][rows])
+        parts.append(np.diff(places, order, axis=0)[0])
     return np.concatenate(parts)
 
 
@@ -305,7 +301,7 @@ def jitter_mm(numbers: Sequence[I64], positions: Sequence[F64]) -> float:
     if not len(jumps):
         return float("nan")
     # median of the length of normal vectors in space, over the deviation along an axis
-    scale = 1.5382 * np.sqrt((_FACTORS[order + 1] ** 2).sum())
+    scale = 1.5382 * math.sqrt(math.comb(2 * order, order))
     return float(np.median(np.linalg.norm(jumps, axis=1)) / scale)
 
 

@@ -60,19 +60,6 @@ class Slice:
 
 
 @dataclass(frozen=True)
-class Discs:
-    """Circles (n,) coloured by their radii; alone in their panel.
-
-    Radii are in the unit of the axes; y points downwards.
-    """
-
-    label: str
-    x: npt.NDArray[np.float64]
-    y: npt.NDArray[np.float64]
-    radius: npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
 class Circles:
     """Circles (n,) of one colour; several kinds may share a panel.
 
@@ -83,6 +70,10 @@ class Circles:
     x: npt.NDArray[np.float64]
     y: npt.NDArray[np.float64]
     radius: npt.NDArray[np.float64]
+
+
+class Discs(Circles):
+    """Circles (n,) coloured by their radii; alone in their panel."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +143,6 @@ _BINS = 40
 # Okabe and Ito: colours that the colour-blind can distinguish
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKERS = "os^Dv*x"
-_FLAT = 2.0  # a slice so many times wider than high has its scale below it
 _SMALL, _HANDLE_INCH, _LETTER_INCH = 7, 0.6, 0.06  # points of a legend's letters, its sizes
 _ARROWS = 32  # along a slice's longer side at most
 
@@ -246,8 +236,8 @@ def _slice(axes: Any, cut: Slice) -> None:
     colours, low = ("RdBu_r", -top) if cut.signed else ("viridis", float(np.nanmin(cut.values)))
     scale = {"cmap": colours, "vmin": low, "vmax": top if cut.signed else None}
     shown = axes.pcolormesh(cut.x, cut.y, cut.values, shading="nearest", rasterized=True, **scale)
-    flat = abs(cut.x[-1] - cut.x[0]) > _FLAT * abs(cut.y[-1] - cut.y[0])
-    bar = axes.figure.colorbar(shown, ax=axes, orientation="horizontal" if flat else "vertical")
+    wide = abs(cut.x[-1] - cut.x[0]) > abs(cut.y[-1] - cut.y[0])
+    bar = axes.figure.colorbar(shown, ax=axes, orientation="horizontal" if wide else "vertical")
     bar.set_label(cut.label, fontsize=8)
     if cut.arrows is not None:
         every = max(1, -(-max(cut.values.shape) // _ARROWS))

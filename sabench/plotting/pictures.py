@@ -17,11 +17,11 @@ _MONTAGE_PX = 900  # widest mosaic
 _CELLS = 12  # along the longer side of an image
 _GAP_PX = 5  # between two cameras
 _GAP_GREY = 200  # stands out from sparse and from crowded images
-_GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
-_BRIGHTEST = 99.9  # percentile shown as white
+GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
+BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
-_ENLARGED_PX = 400  # side of a slice's image
+ENLARGED_PX = 400  # side of a slice's image
 # Blue, green, red of detections on black, which the colour-blind can distinguish
 FOUND: Colour = (135.0, 200.0, 40.0)
 MISSED: Colour = (233.0, 180.0, 86.0)
@@ -49,8 +49,9 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
     """
     small, across = _shrink("montage", images)
     least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
-    top = min(white_dn, max(least, float(np.percentile(small, _BRIGHTEST))))
-    return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, _GAMMA), across))
+    top = min(white_dn, max(least, float(np.percentile(small, BRIGHTEST))))
+    light = small.astype(np.float64) - black_dn
+    return _png(_mosaic(grey_levels(light, top - black_dn, GAMMA), across))
 
 
 def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
@@ -61,7 +62,7 @@ def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
     dark = np.clip(white_dn - images.astype(np.float64), 0.0, white_dn - black_dn).astype(np.uint16)
     small, across = _shrink("backlit", dark)
     light = (white_dn - black_dn) - small.astype(np.float64)
-    return _png(_mosaic(_grey(light, white_dn - black_dn, 1.0), across))
+    return _png(_mosaic(grey_levels(light, white_dn - black_dn, 1.0), across))
 
 
 def _shrink(what: str, images: U16) -> tuple[U16, int]:
@@ -84,7 +85,7 @@ def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
     the window's own 99.9th percentile: faint ghosts stay visible next to bright particles.
     """
     window = _window(volume[scored])
-    return _png(_enlarge(_grey(window, _top(window), 0.5)))
+    return _png(_enlarge(grey_levels(window, _top(window), 0.5)))
 
 
 def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> bytes:
@@ -163,10 +164,10 @@ def _window(part: F32) -> F64:
 
 def _top(window: F64) -> float:
     # a few isolated particles can fill less than 0.1 %
-    return float(np.percentile(window, _BRIGHTEST)) or float(window.max())
+    return float(np.percentile(window, BRIGHTEST)) or float(window.max())
 
 
-def _enlarge(pixels: U8, size_px: int = _ENLARGED_PX) -> U8:
+def _enlarge(pixels: U8, size_px: int = ENLARGED_PX) -> U8:
     block = max(1, size_px // max(pixels.shape[:2]))
     return pixels.repeat(block, axis=0).repeat(block, axis=1)
 
@@ -181,13 +182,13 @@ def read_picture(dark: Bool, right: Bool) -> bytes:
     return _png(_enlarge(np.where(right[..., None], truth, wrong).astype(np.uint8)))
 
 
-def grey_picture(values: F64, size_px: int) -> bytes:
+def grey_picture(values: F64, size_px: int = ENLARGED_PX) -> bytes:
     """Draw a plane (rows, columns), enlarged to about `size_px`, as a PNG.
 
     Grey values extend from its 1st to its 99th percentile; each value is a block of whole pixels.
     """
     low, high = np.percentile(values, [1.0, 99.0])
-    return _png(_enlarge(_grey(values - low, high - low, 1.0), size_px))
+    return _png(_enlarge(grey_levels(values - low, high - low, 1.0), size_px))
 
 
 def dots(pixels: F64, rows: int, columns: int) -> bytes:
@@ -300,7 +301,8 @@ def join_blocks(images: npt.NDArray[AnyNumber], block: int) -> npt.NDArray[AnyNu
     return np.asarray(padded.reshape(shape).max(axis=(2, 4)))
 
 
-def _grey(values: F64, top: float, gamma: float) -> U8:
+def grey_levels(values: F64 | F32, top: float, gamma: float) -> U8:
+    """Scale values from 0 to a top to grey values of 8 bits."""
     scaled = np.clip(values / top, 0.0, 1.0) if top > 0.0 else np.zeros_like(values)
     return np.rint(255.0 * scaled**gamma).astype(np.uint8)
 

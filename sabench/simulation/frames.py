@@ -161,13 +161,7 @@ class Frames:
         if self._phases is None or bubbles is None or particles is None:
             return self.assemble(number, bubbles, particles)
         solids = [solid for solid, _ in self._phases.bodies(number)]
-        which = ~_inside(bubbles, solids, particles.position_mm)
-        particles = Particles(
-            particles.id[which],
-            particles.position_mm[which],
-            particles.diameter_mm[which],
-            particles.velocity_mm_s[which],
-        )
+        particles = particles.rows(~_inside(bubbles, solids, particles.position_mm))
         direction = np.asarray(self.scene.particle_world.illumination.direction)
         back = np.tile(-direction / np.linalg.norm(direction), (len(particles), 1))
         dark = meets(bubbles, particles.position_mm, back)

@@ -18,7 +18,7 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.metrics.averages import finite_or_none, mean_of_each
-from sabench.metrics.bubble_detection import AnyBubbles, detection_scores, match_bubbles
+from sabench.metrics.bubble_detection import NEAR, AnyBubbles, detection_scores, match_bubbles
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
@@ -26,6 +26,7 @@ from sabench.plotting.drawing import Circles, Discs, Figure, Panel
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (
+    ALIKE,
     SHARE,
     Captions,
     Figures,
@@ -96,8 +97,6 @@ JET = {
     "width_percent": "width",
 }
 _WRONG_ROTATION = rotation_matrices(np.array([0.1, -0.2, 0.05]))
-# share of the bubbles found with the cameras in another order, and how near, in radii
-_ALIKE, _NEAR_RADII = 0.8, 0.5
 
 
 class BubblesTask(FrameByFrame):
@@ -254,7 +253,7 @@ class BubblesTask(FrameByFrame):
 
     def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
         """Compare bubbles by the share detected in both."""
-        return share_near(one.center_mm, other.center_mm, _NEAR_RADII * one.radius_mm) >= _ALIKE
+        return share_near(one.center_mm, other.center_mm, NEAR * one.radius_mm) >= ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the bubbles of the first frame, front and side view, as a PNG."""

@@ -23,10 +23,8 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import clear_abandoned, is_file, refuse_existing
 from sabench.utils.processes.call import call_isolated
 from sabench.utils.processes.program import ProgramLimits, run_limited
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.utils.validation import printable
-
-_CHECK_S = 1800.0  # time limit for reading a result
 
 
 def is_program(solver: str) -> bool:
@@ -88,8 +86,7 @@ def run_program(
     refuse_existing(out, overwrite=overwrite)
     with open_sandbox(dataset) as sandbox, sandbox.naming(dataset.root, out):
         sees = "; sees its folder and SABENCH_VISIBLE" if sandbox.confined else "; not confined"
-        said = f"{path.name}: at most {limits.time_s:g} s{sees}"
-        console.print(said, markup=False, highlight=False)
+        say(f"{path.name}: at most {limits.time_s:g} s{sees}")
         # strings as they are, all else as JSON
         words = [
             f"{name}={value if isinstance(value, str) else json.dumps(value)}"
@@ -150,10 +147,10 @@ def copy_isolated(
     result: Result, data: Dataset, out: Path, head: Head, name: str, *, overwrite: bool
 ) -> None:
     """Write a foreign result anew, checked, by `write_anew` in a child process."""
-    doing = f"result of {name}"
+    doing, time_s = f"result of {name}", ProgramLimits.time_s
     try:
         call_isolated(
-            write_anew, result.path, data.root, out, head, overwrite, doing=doing, time_s=_CHECK_S
+            write_anew, result.path, data.root, out, head, overwrite, doing=doing, time_s=time_s
         )
     finally:
         clear_abandoned(out.absolute())

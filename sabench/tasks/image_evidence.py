@@ -24,8 +24,7 @@ from sabench.metrics import reprojection
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.files import inside, read_json
 
-_CERTAIN = 0.3  # least light for a precise position, share of a typical particle's light
-_HIT = 0.3  # least light of an image, share of the particles' median light
+_LEAST = 0.3  # light of an image that counts, share of a typical particle's
 _SHIFTS = 5  # multiples of the scramble's shift used to measure chance
 _BLUR_PX = 0.7  # standard deviation of a voxel's image
 
@@ -79,7 +78,7 @@ class FrameEvidence:
 
     def certain_shifts(self, camera: int, fit: reprojection.LightFit) -> F64:
         """Return the shifts (k, 2) of images that are bright enough to have a place."""
-        bright = fit.light > _CERTAIN * self.statistics.light[camera]
+        bright = fit.light > _LEAST * self.statistics.light[camera]
         good: F64 = fit.shift_px[bright & np.isfinite(fit.shift_px).all(axis=1)]
         return good
 
@@ -121,7 +120,7 @@ class FrameEvidence:
             for sample in (light, expected)
         ]
         share = excess[0] / excess[1] if excess[1] > 0.0 else float("nan")
-        chance = float((elsewhere > _HIT * np.median(expected)).mean())
+        chance = float((elsewhere > _LEAST * np.median(expected)).mean())
         return _CameraEvidence(float(np.clip(share, 0.0, 1.0)), chance)
 
     def count_shown(
@@ -140,7 +139,7 @@ class FrameEvidence:
         if not len(expected):
             return 0
         light = self._light(camera, pixels % size - 0.5)
-        return int((light > _HIT * np.median(expected)).sum())
+        return int((light > _LEAST * np.median(expected)).sum())
 
     def correlation(self, camera: int, positions_mm: F64, others: Sequence[int]) -> float:
         """Correlate a camera's image with the one that other cameras' light predicts."""

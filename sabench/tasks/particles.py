@@ -22,6 +22,7 @@ from sabench.tasks import particles_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.solver_call import SolverClock, image_sequence
 from sabench.tasks.task import (
+    ALIKE,
     ANY,
     SHARE,
     Captions,
@@ -39,9 +40,7 @@ from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
-_DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
-# share of the particles found with the cameras in another order, and how near, in voxels
-_ALIKE, _NEAR_VOXELS = 0.9, 0.2
+_NEAR_VOXELS = 0.2  # distance of a particle found with the cameras in another order
 _TOLERANCE = MatchingCurve("f1", "F1", "voxel", particle_detection.MATCHING_DISTANCES)
 
 
@@ -231,13 +230,12 @@ class ParticlesTask(Task):
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
         """Compare particles by the share detected in both."""
         near_mm = _NEAR_VOXELS * min(data.setup.grid.voxel_mm)
-        return share_near(one.position_mm, other.position_mm, near_mm) >= _ALIKE
+        return share_near(one.position_mm, other.position_mm, near_mm) >= ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
-        """Draw the particles in a slice as Gaussian blobs, as a PNG."""
+        """Draw the particles in a slice as Gaussian blobs of a voxel, as a PNG."""
         grid, positions = data.setup.grid, self.read(data, source, 0).position_mm
-        sigma_mm = _DRAWN_VOXELS * grid.voxel_mm[0]
-        volume = synthesise(grid, positions, np.ones(len(positions)), sigma_mm)
+        volume = synthesise(grid, positions, np.ones(len(positions)), grid.voxel_mm[0])
         return with_bar(pictures.slice_picture(volume, grid.scored), grid)
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
@@ -250,7 +248,7 @@ class ParticlesTask(Task):
             (np.delete(true, j, axis=0), pictures.MISSED),
             (np.delete(positions, i, axis=0), pictures.GHOSTS),
         )
-        sigma_mm = _DRAWN_VOXELS * grid.voxel_mm[0]
+        sigma_mm = grid.voxel_mm[0]
         parts = [(synthesise(grid, p, np.ones(len(p)), sigma_mm), c) for p, c in kinds]
         return with_bar(pictures.class_slice(parts, grid.scored), grid)
 

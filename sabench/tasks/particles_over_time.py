@@ -25,7 +25,7 @@ from sabench.metrics.trajectories import (
 )
 from sabench.tasks.solver_call import SolverClock, answers_of_frames
 from sabench.tasks.task import Figures
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 
 
@@ -138,20 +138,12 @@ def _scored_part(grid: Grid, estimate: FoundParticles, true: Particles) -> _Scor
     """Select those in the scored part, and those paired with a true one there."""
     inner = grid.in_scored(grid.to_voxels(true.position_mm))
     voxels = grid.to_voxels(estimate.position_mm)
-    i, j = _scored_pairs(voxels, grid.to_voxels(true.position_mm), inner)
+    i, j = challenge_pairs(voxels, grid.to_voxels(true.position_mm))
+    i, j = i[inner[j]], j[inner[j]]
     counted = grid.in_scored(voxels)
     counted[i] = True
-    scored = Particles(
-        true.id[inner], true.position_mm[inner], true.diameter_mm[inner], true.velocity_mm_s[inner]
-    )
     pairs = (np.cumsum(counted) - 1)[i], (np.cumsum(inner) - 1)[j]
-    return _ScoredPart(estimate.rows(counted), scored, pairs)
-
-
-def _scored_pairs(estimate: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
-    """Match found and true particles; keep pairs of true ones in the scored part."""
-    i, j = challenge_pairs(estimate, true)
-    return i[scored[j]], j[scored[j]]
+    return _ScoredPart(estimate.rows(counted), true.rows(inner), pairs)
 
 
 def _sighting(grid: Grid, part: _ScoredPart) -> Sightings:

@@ -1,6 +1,5 @@
 """Task `reconstruction`: solvers turn one observation into one volume."""
 
-import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,6 +10,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
 from sabench.geometry.camera_model import any_in_view
+from sabench.geometry.common_view import lattice_of
 from sabench.geometry.grid import Grid
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.particle_detection import MATCHING_DISTANCES
@@ -24,6 +24,7 @@ from sabench.tasks.solver_call import (
     image_sequence,
 )
 from sabench.tasks.task import (
+    ALIKE,
     PERCENT,
     SHARE,
     Captions,
@@ -44,12 +45,10 @@ from sabench.utils.progress import progress_bar
 # float32 volumes that must fit next to the images: the solver's own, and as much again for its
 # work and the checks
 _VOLUMES = 2.0
-_TRIED = 33  # voxels along each axis that are projected into the images
 PARTICLE_IMAGES = (
     "First frame of every camera, one brightness scale for all; dim particles are raised."
 )
 _TOLERANCE = MatchingCurve("peak_f1", "peak F1", "voxel", MATCHING_DISTANCES)
-_ALIKE = 0.95  # correlation of volumes from cameras in another order
 
 
 class ReconstructionTask(FrameByFrame):
@@ -204,7 +203,7 @@ class ReconstructionTask(FrameByFrame):
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
         """Compare volumes by their correlation: MART and its kin depend on the order."""
-        return correlation(one.volume, other.volume) > _ALIKE
+        return correlation(one.volume, other.volume) > ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw a slice of the first frame's volume as a PNG."""
@@ -236,11 +235,7 @@ def check_frame(case: Observation, source: str) -> None:
                 f"but every pixel is saturated ({case.white_dn:g} or more)"
             )
     check_memory(case, source)
-    axes = [
-        axis[np.unique(np.linspace(0, len(axis) - 1, _TRIED).astype(int))]
-        for axis in case.grid.axes_mm
-    ]
-    if not any_in_view(case.cameras, np.array(list(itertools.product(*axes)))):
+    if not any_in_view(case.cameras, lattice_of(case.grid)):
         raise InputError(
             f"{source}: grid: expected it in view of at least one camera, "
             f"but no camera of {len(case.cameras)} sees any of it"

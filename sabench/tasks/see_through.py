@@ -20,6 +20,7 @@ from sabench.metrics.code_reading import (
 from sabench.plotting import pictures
 from sabench.tasks.reconstruction import check_frame
 from sabench.tasks.task import (
+    ALIKE,
     ANY,
     PERCENT,
     Captions,
@@ -33,10 +34,6 @@ from sabench.tasks.task import (
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.progress import progress_bar
 from sabench.worlds.bubbles_and_bodies import code_of
-
-_ENLARGED_PX, _DRAWN_PX = 400, 200  # longer side of a picture, and of the code itself
-_MARGIN = 3.0  # voxels around the code that are shown
-_ALIKE = 0.95  # correlation of planes from cameras in another order
 
 
 class SeeThroughTask(FrameByFrame):
@@ -120,15 +117,15 @@ class SeeThroughTask(FrameByFrame):
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
         """Compare planes by their correlation: MART and its kin depend on the order."""
-        return correlation(one.volume, other.volume) > _ALIKE
+        return correlation(one.volume, other.volume) > ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the code's plane in an estimate, or the code itself, as a PNG."""
         code = _code(data, 0)
         if not isinstance(source, Result):
-            return pictures.grey_picture(draw_code(code), _ENLARGED_PX)
+            return pictures.grey_picture(draw_code(code))
         plane = code_plane(data.setup.grid, self.read(data, source, 0).volume, code)
-        return pictures.grey_picture(plane, _ENLARGED_PX)
+        return pictures.grey_picture(plane)
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
         """Draw the cells of the code that are read wrong, as a PNG."""
@@ -156,12 +153,12 @@ def _brighten(grid: Grid, volume: F32, code: Code, light: float) -> F32:
 def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
     """Cut the plane (y, x) nearest to the code's middle out of a volume.
 
-    It is limited to the surroundings of the code.
+    It is limited to the code.
     """
     voxels, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
     low, high = (
         np.clip(np.rint(end), 0, size - 1).astype(int)
-        for end in (voxels.min(axis=0) - _MARGIN, voxels.max(axis=0) + _MARGIN)
+        for end in (voxels.min(axis=0), voxels.max(axis=0))
     )
     middle = int(np.clip(np.rint(voxels[:, 2].mean()), 0, size[2] - 1))
     return np.asarray(volume[middle, low[1] : high[1] + 1, low[0] : high[0] + 1], dtype=np.float64)
@@ -176,7 +173,7 @@ def _nearest(code: Code) -> I64:
     """Find the cell (rows, columns) nearest to each pixel of a picture along Z."""
     middles = code.points_mm.mean(axis=1)[:, :2]
     low, high = (end(code.points_mm.reshape(-1, 3)[:, :2], axis=0) for end in (np.min, np.max))
-    sides = np.rint((high - low) / (high - low).max() * _DRAWN_PX)
+    sides = np.rint((high - low) / (high - low).max() * pictures.ENLARGED_PX)
     columns, rows = np.maximum(1, sides).astype(int)
     x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
     nearest = cKDTree(middles).query(np.column_stack([x.ravel(), y.ravel()]))[1]

@@ -26,9 +26,11 @@ from sabench.utils.errors import InputError
 Better = Literal["larger", "smaller", "unity", "steady"]
 Source = Result | Literal["truth", "empty"]
 Figures = dict[str, float | None]
-_TIMES, _SPARE = 100, 10_000  # detections of a frame that are scored: per true one, and more
+_TIMES = 100  # detections of a frame that are scored: per true one, and per one of as many more
 
 LARGEST = 1e15  # no meaningful score is beyond it
+# least correlation of volumes, or share of particles that agree, if cameras are in another order
+ALIKE = 0.9
 # ranges of scores
 ANY, ERROR, SHARE, PERCENT = (-LARGEST, LARGEST), (0.0, LARGEST), (0.0, 1.0), (0.0, 100.0)
 
@@ -370,11 +372,11 @@ def check_number(found: int, true: int, where: str) -> None:
 
     `where` opens the sentence.
     """
-    most = _SPARE + _TIMES * true
+    most = _TIMES * (true + _TIMES)
     if found > most:
         raise InputError(
-            f"{where}: expected at most {most} detections, {_TIMES} times as many as there are "
-            f"and {_SPARE}, got {found}"
+            f"{where}: expected at most {most} detections, {_TIMES} for each of those that there "
+            f"are and of {_TIMES} more, got {found}"
         )
 
 

@@ -52,8 +52,6 @@ from sabench.worlds.advection import advect
 from sabench.worlds.library.overlaps import contains
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
-_SCATTERED = 4000  # most points of a scatter plot
-
 
 def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) -> Figure:
     """Draw the middle plane of a field, its errors, and a profile.
@@ -134,8 +132,7 @@ def slice_panel(field: Velocity, normal: int) -> Panel:
 
 def error_scatter(title: str, errors: F64) -> Panel:
     """Draw errors (n, 3) in voxels of v and w over those of u; thesis, figure 2-9."""
-    some = np.random.default_rng(0).permutation(len(errors))[:_SCATTERED]
-    u, v, w = errors[some].T
+    u, v, w = errors.T
     return Panel(
         title, "error of u, voxels", "error of v or w, voxels", (Cloud("v", u, v), Cloud("w", u, w))
     )

@@ -19,11 +19,11 @@ from sabench import plugins
 from sabench.dataset import schema
 from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
+from sabench.utils.code_hash import PACKAGE
 from sabench.utils.errors import InputError
 from sabench.utils.kernel_folder import kernel_folder
 from sabench.utils.processes.confinement import VisiblePaths, can_confine
 
-_PACKAGE = Path(plugins.__file__).resolve().parent
 _UNFINISHED = re.compile(r"[^\s']*\.result\.h5\.partial-\d+")  # what a killed writer leaves
 _DEEPEST = 6  # largest depth of the search for data sets below a visible folder
 _BESIDE_COMMANDS = ("lib", "lib64", "libexec", "pyvenv.cfg")  # what commands in a bin folder need
@@ -120,10 +120,10 @@ def view_of_import(solver: str) -> VisiblePaths:
     sabench's own solvers may write compiled kernels; what another solver writes there is discarded,
     so that it cannot change later runs.
     """
-    python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
+    python = [Path(sys.prefix), Path(sys.base_prefix), PACKAGE.parent / "pyproject.toml"]
     folders = [folder for kind in plugins.PLUGIN_FOLDERS for folder in plugins.folders(kind)]
     # list the folders of compiled kernels, of numba and Dr.Jit
-    kernels = [_PACKAGE, *folders, *_import_paths(), *[kernel_folder(), Path.home() / ".drjit"]]
+    kernels = [PACKAGE, *folders, *_import_paths(), *[kernel_folder(), Path.home() / ".drjit"]]
     view = VisiblePaths(readable=_words(python), hidden=_words(_find_secret([*python, *kernels])))
     if plugins.is_bundled("solvers", solver):
         return replace(view, writable=_words(kernels), home=str(Path.home()))
@@ -161,7 +161,7 @@ def _import_paths() -> list[Path]:
     return [
         path
         for path in dict.fromkeys(paths)
-        if path not in _PACKAGE.parents and not any(map(path.is_relative_to, python))
+        if path not in PACKAGE.parents and not any(map(path.is_relative_to, python))
     ]
 
 

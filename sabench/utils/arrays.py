@@ -14,6 +14,8 @@ U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 Rows = tuple[tuple[float, ...], ...]
 
+# no length, velocity, angle or coefficient is beyond it, and its square still has many digits
+LARGEST = 1e12
 FROM_MAD = 1.4826  # standard deviation of normal numbers over their median absolute deviation
 
 

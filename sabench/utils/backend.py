@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sabench.utils.errors import InputError
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 
 Renderer = Literal["auto", "mitsuba", "splat"]
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -166,7 +166,7 @@ def _prepare() -> Backend:
                 f"renders: expected {backend.library}; import sabench.utils.backend and call its "
                 f"mitsuba() first, or set {LLVM_VARIABLE}"
             )
-    console.print(f"computing on {backend.why}", style="dim", highlight=False, soft_wrap=True)
+    say(f"computing on {backend.why}", "dim")
     return backend
 
 

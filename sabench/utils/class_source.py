@@ -12,9 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from sabench.utils.code_hash import PACKAGE
 from sabench.utils.errors import InputError
-
-_PACKAGE = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
@@ -130,8 +129,8 @@ def _parse_once(file: Path) -> SourceFile:
 def _file_of(module: str) -> Path | None:
     """Find the file of a module of sabench, without importing its package."""
     top, *parts = module.split(".")
-    path = _PACKAGE.joinpath(*parts)
-    if top != _PACKAGE.name:
+    path = PACKAGE.joinpath(*parts)
+    if top != PACKAGE.name:
         return None
     files = (path / "__init__.pyi", path / "__init__.py", path.with_suffix(".py"))
     return next((file for file in files if file.is_file()), None)
@@ -145,9 +144,9 @@ def import_fault(source: SourceFile) -> str:
     """
     for line, module, name in source.imported.values():
         top = module.split(".")[0]
-        if module.startswith(f"{_PACKAGE.name}.plugins."):
+        if module.startswith(f"{PACKAGE.name}.plugins."):
             continue
-        if top != _PACKAGE.name:
+        if top != PACKAGE.name:
             if not _is_installed(top):
                 return f"line {line}: no module named {top!r} is installed"
         elif (file := _file_of(module)) is None:

@@ -4,7 +4,7 @@ import functools
 import hashlib
 from pathlib import Path
 
-_PACKAGE = Path(__file__).resolve().parents[1]
+PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def code_hash(*files: Path) -> str:
@@ -21,8 +21,8 @@ def code_hash(*files: Path) -> str:
 @functools.cache
 def _own_hash() -> str:
     whole = hashlib.sha256()
-    for file in sorted(_PACKAGE.rglob("*.py")):
+    for file in sorted(PACKAGE.rglob("*.py")):
         if "_plugins" not in file.parts:
-            name = f"{file.relative_to(_PACKAGE).as_posix()}\0"
+            name = f"{file.relative_to(PACKAGE).as_posix()}\0"
             whole.update(name.encode() + hashlib.sha256(file.read_bytes()).digest())
     return whole.hexdigest()

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Any, Self
 
 _LONGEST = 1200  # characters of a sentence that stands alone; a sixth of it ends one that is cut
-_LISTED = 240  # characters of each of several
-_MOST = 20  # sentences that are listed
+LISTED = 240  # characters of each of several, and of words of others that a sentence repeats
+MOST = 20  # sentences that are listed
 
 
 class InputError(Exception):
@@ -24,8 +24,8 @@ class InputError(Exception):
     def __init__(self, sentence: str = "", faults: Sequence[str] = ()) -> None:
         head = one_line(sentence)
         self.faults = tuple(one_line(fault) for fault in faults) or (head,)
-        listed = [one_line(fault, _LISTED) for fault in faults[:_MOST]] if len(faults) > 1 else []
-        more = len(self.faults) - _MOST
+        listed = [one_line(fault, LISTED) for fault in faults[:MOST]] if len(faults) > 1 else []
+        more = len(self.faults) - MOST
         rest = [f"and {more} more"] if more > 0 else []
         super().__init__("\n  ".join([head, *listed, *rest]))
         self.arguments = (sentence, tuple(faults))

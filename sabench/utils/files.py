@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import threading
+import tomllib
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +22,8 @@ from sabench.utils.progress import progress_bar
 _ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
 
 LONGEST_PART = 255  # bytes of a file's name, on every system in use
-_LARGEST_TEXT = 100_000_000  # bytes of a JSON file
+LARGEST_TEXT = 100_000_000  # bytes of JSON, and of what is read without a check of its cost
+LARGEST_DATA = 2_000_000_000  # bytes of a table, and of an array whose length its file sets
 
 
 @contextlib.contextmanager
@@ -201,11 +203,19 @@ def digest(value: Any) -> str:
 def read_json(path: Path) -> Any:
     """Parse a JSON file; raise an InputError if it is missing, broken or enormous."""
     try:
-        if path.stat().st_size > _LARGEST_TEXT:
-            raise ValueError(f"{path.stat().st_size} bytes where {_LARGEST_TEXT} are allowed")
+        if path.stat().st_size > LARGEST_TEXT:
+            raise ValueError(f"{path.stat().st_size} bytes where {LARGEST_TEXT} are allowed")
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a JSON file, got {_short(error)}") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file; raise an InputError if it is missing or broken."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected a TOML file, got {error}") from error
 
 
 def inside(root: Path, name: str) -> Path:

@@ -14,9 +14,10 @@ import tempfile
 import time
 from pathlib import Path
 
-_PACKAGE = Path(__file__).resolve().parents[1]
+from sabench.utils.code_hash import PACKAGE
+
 _IMPORT = re.compile(r"^\s*from (sabench[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
-_KEPT, _KEPT_S = 4, 7 * 86400.0  # folders of other sources that stay, and time since their last use
+_KEPT_S = 7 * 86400.0  # time since their last use after which folders of other sources go
 
 
 def folder_of_folders() -> Path:
@@ -36,9 +37,9 @@ def kernel_folder() -> Path:
     """Return the folder of the kernels of these sources.
 
     It is made if it is missing, in the temporary folder if the usual one cannot be written. Folders
-    of other sources are removed then, but for the last few and those that were used within a week.
+    of other sources are removed then, but for those that were used within a week.
     """
-    name = f"kernels-{hash_sources(_PACKAGE)[:16]}"
+    name = f"kernels-{hash_sources(PACKAGE)[:16]}"
     user = os.getuid() if hasattr(os, "getuid") else ""
     spare = Path(tempfile.gettempdir()) / f"sabench-{user}"
     for parent in (folder_of_folders(), spare):
@@ -49,8 +50,7 @@ def kernel_folder() -> Path:
                 continue  # another user made it, who could have put kernels there
             if not folder.exists():
                 folder.mkdir(exist_ok=True)
-                others = sorted(parent.glob("kernels-*"), key=lambda other: other.stat().st_mtime)
-                for other in others[: -1 - _KEPT]:
+                for other in parent.glob("kernels-*"):
                     if time.time() - other.stat().st_mtime > _KEPT_S:
                         shutil.rmtree(other, ignore_errors=True)
             os.utime(folder)  # the time of its last use

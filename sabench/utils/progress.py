@@ -14,8 +14,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 T = TypeVar("T")
 console = Console(stderr=True)
-_REFRESH_S = 0.2
 _PATIENCE_S = 1.0  # of compiling without a notice
+
+
+def say(text: str, style: str | None = None) -> None:
+    """Print a line on standard error as it is, however long."""
+    console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
@@ -32,7 +36,7 @@ def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
         task = progress.add_task(doing, total=total)
 
         def keep_alive() -> None:
-            while not ended.wait(_REFRESH_S):
+            while not ended.wait(1.0 / progress.live.refresh_per_second):
                 progress.refresh()
 
         if console.is_terminal:
@@ -93,4 +97,4 @@ def announce_compiling() -> None:
 
 @functools.cache
 def _say_compiling() -> None:
-    console.print("compiling kernels (once)", style="dim", highlight=False)
+    say("compiling kernels (once)", "dim")

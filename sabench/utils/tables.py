@@ -15,9 +15,9 @@ import numpy as np
 
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from sabench.utils.files import LARGEST_DATA
 from sabench.utils.validation import printable
 
-_LARGEST = 2_000_000_000  # bytes of a text file
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")  # x [mm], x (mm)
 _NUMBER = re.compile(r"^[-+]?(?:\d|[.,]\d|nan$|inf)", re.IGNORECASE)  # begins as a number does
 
@@ -64,8 +64,8 @@ def read_text(path: Path) -> str:
     if not path.is_file():
         kind = "a folder" if path.is_dir() else "none"
         raise InputError(f"{path}: expected a file, found {kind}")
-    if path.stat().st_size > _LARGEST:
-        raise InputError(f"{path}: expected at most {_LARGEST / 1e9:g} GB, got more")
+    if path.stat().st_size > LARGEST_DATA:
+        raise InputError(f"{path}: expected at most {LARGEST_DATA / 1e9:g} GB, got more")
     raw = path.read_bytes()
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", "replace")

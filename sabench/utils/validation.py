@@ -12,7 +12,7 @@ import typing
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
 
 from sabench.utils.errors import InputError
 
@@ -204,7 +204,7 @@ def _not_zero(vector: Vector) -> Vector:
 
 
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
-Positive = Annotated[float, Field(gt=0.0)]
+Positive = PositiveFloat
 TiltAngle = Annotated[float, Field(gt=-90.0, lt=90.0)]
 Index = Annotated[float, Field(ge=1.0, le=4.0)]
 LensNumber = Literal["principal_point", "k1", "k2", "p1", "p2", "k3", "tilt"]

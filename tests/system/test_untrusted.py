@@ -91,7 +91,7 @@ def test_what_a_file_only_says_that_it_holds_is_not_read(file: Path) -> None:
 
 
 def test_a_deflated_bomb(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hdf5, "_SMALL", 1000)
+    monkeypatch.setattr(hdf5, "LARGEST_TEXT", 1000)
     with h5py.File(file, "w") as made:
         made.create_dataset(
             "zeros", (10**6, 3), "f8", chunks=(10**5, 3), compression="gzip", compression_opts=9

@@ -37,7 +37,7 @@ from sabench.tasks.solve_and_score import check_result_task, solve
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, digest, refuse_existing, zip_folder
 from sabench.utils.processes.program import ProgramLimits
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.utils.version import __version__
 
 _FOLDER = Path(__file__).with_name("pages")
@@ -68,7 +68,6 @@ def page(name: str, challenge: Challenge) -> str:
 _PROGRAM = Path(__file__).with_name("score.py")
 _COMMAND = "command: python3 /app/program/score.py /app/input/ /app/output/\n"
 _DIGITS = 6  # that the server's table shows
-_LIMIT_S = 3600  # time limit for scoring one submission
 _DOCKERFILE = """# Image for the scoring program: put the wheel of sabench next to this file.
 FROM python:3.12-slim
 COPY sabench-{version}-py3-none-any.whl /tmp/
@@ -140,7 +139,7 @@ phases:
   - index: 0
     name: Challenge
     start: {start}
-    execution_time_limit: {_LIMIT_S}
+    execution_time_limit: {ProgramLimits.time_s:.0f}
     public_data: public_data.zip
     starting_kit: starting_kit
     accepts_only_result_submissions: true
@@ -240,8 +239,7 @@ def _tasks(case: Case) -> set[str]:
 
 def _data_sets(cases: list[Case], work: Path, jobs: int) -> Iterator[Dataset]:
     for number, case in enumerate(cases, 1):
-        text = f"data set {number} of {len(cases)}: {case.name}, {case.words}"
-        console.print(text, markup=False, highlight=False)
+        say(f"data set {number} of {len(cases)}: {case.name}, {case.words}")
         yield dataset_of(case, work, False, jobs)
 
 
@@ -288,8 +286,7 @@ def participate(
         tag = digest([solver, parameters or {}])[:8]
         files = []
         for number, name in enumerate(challenge.data_sets, 1):
-            text = f"data set {number} of {len(challenge.data_sets)}: {name}"
-            console.print(text, markup=False, highlight=False)
+            say(f"data set {number} of {len(challenge.data_sets)}: {name}")
             data = open_dataset(folder / name)
             place = results / f"{name}-{data.content_hash[:8]}-{shown}-{tag}.h5"
             if not _is_there(place, data):

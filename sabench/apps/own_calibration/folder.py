@@ -3,7 +3,6 @@
 docs/using/calibrating.md describes it.
 """
 
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,14 +17,15 @@ from sabench.api import CalibrationCase
 from sabench.api.truth import Target
 from sabench.dataset.cameras import read_calibrated
 from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.camera_records import check_largest
 from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.images.image_reading import read_photographs
 from sabench.scenes.build import build_walls, wall_towards
 from sabench.scenes.cameras import DistortionSpec
-from sabench.scenes.wall import CylinderSpec, WallTable, wall_tables
-from sabench.utils.arrays import F64, I64, triple
+from sabench.scenes.wall import WallTable
+from sabench.utils.arrays import F64, I64, LARGEST, triple
 from sabench.utils.errors import InputError
-from sabench.utils.files import inside
+from sabench.utils.files import inside, read_toml
 from sabench.utils.progress import progress_bar
 from sabench.utils.tables import read_named_rows
 from sabench.utils.validation import (
@@ -39,15 +39,12 @@ from sabench.utils.validation import (
     validate,
 )
 
-_FARTHEST_PX = 1e6  # largest distance of a point from the image's corner
-_FARTHEST_POINT_MM = 1e6  # a kilometre
 _MOST_PIXELS = 20_000_000  # pixels of points in all frames and cameras
 _SIGMA_MM = 0.05  # standard deviation of a coordinate if none is given
 _AXES = ("x_mm", "y_mm", "z_mm")
 _SIGMAS = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm")
 _SEEN = ("camera", "frame", "point", "column", "row")
 _ALIASES = {name.removesuffix("_mm"): name for name in (*_AXES, *_SIGMAS, "sigma_mm")}
-_LARGEST = 2**31  # number of a frame or a point
 
 
 @dataclass(frozen=True)
@@ -129,9 +126,9 @@ def read_loose_points(path: Path, names: Sequence[str]) -> _PointObservations:
                 "calibration.toml has no target, got none"
             )
     labels = sorted({(line.frame, line.point) for line in lines})
-    if not labels or max(map(max, labels)) > _LARGEST:
+    if not labels or max(map(max, labels)) > LARGEST:
         raise InputError(
-            f"{path}: expected points that cameras saw, with numbers up to {_LARGEST}, got "
+            f"{path}: expected points that cameras saw, with numbers up to {LARGEST:g}, got "
             f"{len(labels)} points, the last one {labels[-1:]}"
         )
     rows = {label: number for number, label in enumerate(labels)}
@@ -150,7 +147,7 @@ def read_target_points(path: Path) -> tuple[tuple[float, float, float], ...]:
     places: dict[int, tuple[float, float, float]] = {}
     for where, line in read_named_rows(path, ("point", *_AXES), (), _ALIASES):
         number = _whole(where, line, "point")
-        x, y, z = (_length(where, line, name) for name in _AXES)
+        x, y, z = (_number(where, line, name) for name in _AXES)
         if number in places:
             raise InputError(f"{where}: expected point {number} once, got it twice")
         places[number] = (x, y, z)
@@ -191,8 +188,8 @@ def _lines(path: Path, names: Sequence[str]) -> Iterator[_Line]:
             raise InputError(
                 f"{where}: expected one of the cameras {', '.join(names)}, got {printable(camera)}"
             )
-        column, row = (_number(where, line, name, _FARTHEST_PX, "px") for name in _SEEN[3:])
-        position = [_length(where, line, k) if line.get(k) else np.nan for k in _AXES]
+        column, row = (_number(where, line, name) for name in _SEEN[3:])
+        position = [_number(where, line, k) if line.get(k) else np.nan for k in _AXES]
         sigmas = [_sigma(where, line, name) for name in _SIGMAS]
         yield _Line(where, camera, frame, point, (column, row), tuple(position), tuple(sigmas))
 
@@ -200,7 +197,7 @@ def _lines(path: Path, names: Sequence[str]) -> Iterator[_Line]:
 def _sigma(where: str, line: dict[str, str], name: str) -> float:
     """Read the standard deviation of a coordinate: its own, or that of all three."""
     key = name if line.get(name) else "sigma_mm"
-    value = _length(where, line, key) if line.get(key) else _SIGMA_MM
+    value = _number(where, line, key) if line.get(key) else _SIGMA_MM
     if value <= 0.0:
         raise InputError(f"{where}: {key}: expected a positive length, got {value:g}")
     return value
@@ -218,19 +215,12 @@ def _whole(where: str, line: dict[str, str], key: str) -> int:
     return value
 
 
-def _length(where: str, line: dict[str, str], key: str) -> float:
-    return _number(where, line, key, _FARTHEST_POINT_MM, "mm")
-
-
-def _number(where: str, line: dict[str, str], key: str, most: float, unit: str) -> float:
+def _number(where: str, line: dict[str, str], key: str) -> float:
     try:
         value = float(line[key])
     except ValueError:
         raise InputError(f"{where}: {key}: expected a number, got {printable(line[key])}") from None
-    if not abs(value) <= most:
-        raise InputError(
-            f"{where}: {key}: expected a number of -{most:g} to {most:g} {unit}, got {value}"
-        )
+    check_largest({key: value}, where)
     return value
 
 
@@ -294,7 +284,7 @@ class KnownSpec(Table):
     x_mm: float | None = None
     y_mm: float | None = None
     z_mm: float | None = None
-    sigma_mm: Positive = 0.05
+    sigma_mm: Positive = _SIGMA_MM
 
 
 class Configuration(Table):
@@ -327,7 +317,6 @@ class Configuration(Table):
 
 
 CONFIGURATION, IMAGES, POINTS = "calibration.toml", "images", "points.csv"
-_FARTHEST_MM = 1e6  # a kilometre
 _ANY_ROTATION = aimed_rotation(np.array([0.0, 0.0, 1.0]))  # until a camera is aimed
 _SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 
@@ -350,14 +339,11 @@ class Recording:
 def read_case(folder: Path) -> Recording:
     """Read a folder's calibration: its points.csv, or else points of its images."""
     path = folder / CONFIGURATION
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: expected the description of a calibration, found none") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected a TOML file, got {error}") from error
+    if not path.is_file():
+        raise InputError(f"{path}: expected the description of a calibration, found none")
+    values = read_toml(path)
     configuration = validate(Configuration, values, str(path))
-    _check_lengths(configuration, str(path))
+    check_largest(values, str(path))
     if configuration.known_cameras is None:
         cameras = _cameras(configuration, str(path))
     else:
@@ -408,31 +394,6 @@ def _target(configuration: Configuration, folder: Path) -> Target:
     if points is not None:
         return Target.from_places(read_target_points(inside(folder, points)))
     return Target.from_places(((0.0, 0.0, 0.0),))
-
-
-def _check_lengths(configuration: Configuration, source: str) -> None:
-    """Check that lengths and coordinates are such as a laboratory has."""
-    target, array = configuration.target, configuration.array
-    lengths = (array.pixel_mm, array.focal_length_mm, array.principal_distance_mm) if array else ()
-    given: dict[str, tuple[float, ...]] = {
-        "target_mm": configuration.target_mm or (0.0,),
-        "array": tuple(length or 0.0 for length in (*lengths, 0.0)),
-    }
-    if target is not None:
-        given["target"] = (target.pitch_mm, target.mark_mm)
-    for number, camera in enumerate(configuration.cameras):
-        given[f"cameras.{number}"] = (*camera.center_mm, *camera.aim_mm)
-    for number, point in enumerate(configuration.known):
-        given[f"known.{number}"] = (point.x_mm or 0.0, point.y_mm or 0.0, point.z_mm or 0.0)
-    for wall in wall_tables(configuration.wall):
-        place = wall.axis_point_mm if isinstance(wall, CylinderSpec) else wall.point_mm
-        given["wall"] = (*given.get("wall", ()), *place)
-    for key, values in given.items():
-        largest = max(map(abs, values))
-        if largest > _FARTHEST_MM:
-            raise InputError(
-                f"{source}: {key}: expected at most {_FARTHEST_MM:g} mm, got {largest:g}"
-            )
 
 
 def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:

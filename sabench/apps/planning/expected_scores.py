@@ -24,8 +24,6 @@ from sabench.metrics.particle_detection import ghost_ratio
 from sabench.scenes import Scene
 from sabench.utils.arrays import F64
 
-_JITTER = 1e-8  # variance on the diagonal, for rounding
-
 
 @dataclass(frozen=True)
 class Kernel:
@@ -61,7 +59,7 @@ class GaussianProcess:
     def _inverse(self) -> F64:
         """Inverse covariance (n, n) of the measured values."""
         covariance = self.kernel(self.points, self.points)
-        covariance[np.diag_indices_from(covariance)] += self.kernel.noise**2 + _JITTER
+        covariance[np.diag_indices_from(covariance)] += self.kernel.noise**2
         return np.asarray(np.linalg.inv(covariance))
 
     @cached_property
@@ -156,7 +154,7 @@ MODEL = Path(__file__).with_name("expected_scores.json")
 GHOST_FLOOR = 0.01  # ghosts per particle that count as none
 _COST = 0.02  # of Q
 _EDGE = 0.05  # relative: so little outside of the range is inside
-_LEAST, _MOST = 0.005, 0.995  # range of scores for the logit
+_LEAST = 0.005  # distance of scores from 0 and 1 for the logit
 
 _Values = Mapping[str, float]
 
@@ -226,7 +224,7 @@ def link_function(score: str, value: F64) -> F64:
     """Stretch a score to all numbers: the logit of Q and F1, the logarithm of ghosts."""
     if score == "ghosts":
         return np.asarray(np.log(value + GHOST_FLOOR))
-    inside = np.clip(value, _LEAST, _MOST)
+    inside = np.clip(value, _LEAST, 1.0 - _LEAST)
     return np.asarray(np.log(inside / (1.0 - inside)))
 
 

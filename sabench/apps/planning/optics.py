@@ -16,6 +16,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.common_view import pixel_size_mm
 from sabench.scenes import Scene
 from sabench.scenes.focusing import apparent_distance_mm
+from sabench.scenes.illumination import Backlight
 from sabench.scenes.sensor import Sensor
 from sabench.simulation.frames import FrameContent, Tracers
 from sabench.simulation.rendering.particle_images import (
@@ -27,11 +28,9 @@ from sabench.simulation.rendering.particle_images import (
 from sabench.utils.arrays import F64
 
 DIAMETER = 4.0  # diameter of a Gaussian image in standard deviations: the e^-2 circle
-_OVERLAP = 0.95  # share of the volume that all cameras should see
-_COARSE = 1.5  # pixels: a larger voxel loses resolution
-_LONG = 1.05  # voxel over distance of focal planes: that of the thesis, rounded up
+NEARLY_ALL = 0.99  # of the volume or of the particles
+_COARSE = 1.5  # pixels, or distances of focal planes: a larger voxel loses resolution
 _SHARP_PX = 1.0  # harmless blur by defocus for any diffraction
-_WAVELENGTH_NM = 550.0  # mean wavelength of white light
 
 
 def plan_view(scene: Scene, view: Viewing) -> Section:
@@ -74,7 +73,7 @@ def _advise_view(
     scene: Scene, view: Viewing, shares: F64, quantities: tuple[Quantity, ...]
 ) -> list[Advice]:
     advice, values = [], {quantity.key: quantity.value or 0.0 for quantity in quantities}
-    if values["scored_share"] < _OVERLAP:
+    if values["scored_share"] < NEARLY_ALL:
         worst = view.rig.cameras[int(np.argmin(shares))].name
         advice.append(
             Advice(
@@ -124,7 +123,7 @@ def plan_depth(scene: Scene, view: Viewing) -> Section:
                 f"{view.depth_mm:.3g} mm: reduce volume.size_mm or cameras.focal_length_mm",
             )
         )
-    if spacing is not None and voxel > _LONG * spacing:
+    if spacing is not None and voxel > _COARSE * spacing:
         advice.append(
             Advice(
                 "grid.voxel_mm",
@@ -164,9 +163,10 @@ def depth_of_field_mm(scene: Scene, camera: Camera, view: Viewing) -> float:
 
 
 def wavelength_nm(scene: Scene) -> float:
-    """Return the wavelength of a scene's light, of the laser first."""
+    """Return the wavelength of a scene's laser, or else of its lamps or of any lamp."""
     lights = (scene.illumination, scene.backlight, scene.lighting)
-    return next((light.wavelength_nm for light in lights if light is not None), _WAVELENGTH_NM)
+    lamp: float = Backlight.model_fields["wavelength_nm"].default
+    return next((light.wavelength_nm for light in lights if light is not None), lamp)
 
 
 def plan_sharpness(scene: Scene, view: Viewing) -> Section:
@@ -204,7 +204,7 @@ def _largest(values: F64) -> float:
 
 
 _SAMPLE = 2000  # particles that are imaged
-_LEAST_SNR, _MOST_SATURATED, _LEAST_LIT = 5.0, 0.01, 0.99
+_LEAST_SNR = 5.0
 _SMALLEST_PX, _LARGEST_PX = 2.0, 4.0  # image diameters with precisely measurable centres
 
 
@@ -247,9 +247,7 @@ def sample_images(frame: FrameContent, tracers: Tracers) -> ParticleSample | Non
     """Image a sample of a frame's particles; None where no camera sees one."""
     whole = tracers.particles
     some = np.unique(np.linspace(0, max(len(whole) - 1, 0), min(len(whole), _SAMPLE)).astype(int))
-    given = Particles(
-        whole.id[some], whole.position_mm[some], whole.diameter_mm[some], whole.velocity_mm_s[some]
-    )
+    given = whole.rows(some)
     images = tuple(
         image_particles(
             frame.scene, camera, given, tracers.scatterers, frame.rig.occluders_of(camera)
@@ -358,10 +356,10 @@ def _advise_light(dim: _Exposure, saturated: float, lit: float, scene: Scene) ->
             )
         problem = f"a particle's brightest pixel has a signal / noise of {dim.snr:.2g}"
         advice.append(Advice(key, f"{problem}, less than {_LEAST_SNR:g}: {remedy}"))
-    if saturated > _MOST_SATURATED:
+    if saturated > 1.0 - NEARLY_ALL:
         remedy = f"reduce {key} or sensor.gain_dn_e"
         advice.append(Advice(key, f"{saturated:.0%} of the particles saturate a camera: {remedy}"))
-    if lit < _LEAST_LIT:
+    if lit < NEARLY_ALL:
         thickness = "illumination.thickness_mm"
         problem = f"{1.0 - lit:.0%} of the particles are outside the light"
         advice.append(Advice(thickness, f"{problem}: raise {thickness}, or illumination.height_mm"))

@@ -46,9 +46,6 @@ def plan_calibration(scene: Scene, view: Viewing) -> Section:
     return Section("calibration", (given,))
 
 
-_FAST = 99.0  # percentile of displacements
-
-
 @dataclass(frozen=True)
 class RecordingSystem:
     """Computer and cameras of a recording; by default the thesis's, 3.2.1.
@@ -105,7 +102,7 @@ def plan_recording(
     ]
     moved = None if sample is None else _displacement_px(scene, view, sample)
     quantities.append(
-        Quantity("displacement_px", moved, "of fast particles, between frames", "v dt / dX")
+        Quantity("displacement_px", moved, "of the fastest particle, between frames", "v dt / dX")
     )
     return Section("recording", tuple(quantities), tuple(_advise(scene, recorder, per_bus)))
 
@@ -141,9 +138,8 @@ def _straddling(scene: Scene, recorder: RecordingSystem) -> list[Quantity]:
 def _displacement_px(scene: Scene, view: Viewing, sample: optics.ParticleSample) -> float | None:
     if not len(sample.particles):
         return None
-    speed = np.linalg.norm(sample.particles.velocity_mm_s, axis=1)
-    fast = float(np.percentile(speed, _FAST))
-    return fast * shortest_step_s(scene) / view.pixel_mm(0.5)
+    fastest = float(np.linalg.norm(sample.particles.velocity_mm_s, axis=1).max())
+    return fastest * shortest_step_s(scene) / view.pixel_mm(0.5)
 
 
 def _advise(scene: Scene, recorder: RecordingSystem, per_bus: int) -> list[Advice]:
@@ -230,7 +226,6 @@ def plan(scene: Scene | str | Path, recorder: RecordingSystem | None = None) -> 
 
 _STEPS = 20  # steps of the search for a distance
 _CLOSE = 1e-4  # relative error of the resolution
-_SCORED = 0.99  # share of the scored volume that all cameras should see
 _LENGTHS = ("spacing_mm", "radius_mm", "x_mm", "y_mm")  # lengths of layouts
 _DENSITIES = ("count", "per_mm3", "per_pixel")
 
@@ -381,7 +376,8 @@ def _with_crop(values: _Values, viewing: Viewing, wanted: Wanted) -> _Values:
         for edge in across:
             cropped["grid"]["crop_mm"][edge] = float(share) * min(size[side] for side in across)
         scene = _scene(cropped)
-        if compute_viewing(scene, build_rig(scene, "wanted scene")).share_scored >= _SCORED:
+        seen = compute_viewing(scene, build_rig(scene, "wanted scene"))
+        if seen.share_scored >= optics.NEARLY_ALL:
             return cropped
     raise InputError(
         f"--depth: expected one over which the cameras' views meet, got {wanted.depth_mm:g} mm"

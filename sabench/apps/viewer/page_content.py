@@ -20,15 +20,14 @@ from sabench.dataset.schema import image_name
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.volume_polynomials import fit_volume_polynomials
-from sabench.plotting.pictures import join_blocks
+from sabench.plotting.pictures import BRIGHTEST, GAMMA, grey_levels, join_blocks
 from sabench.utils.arrays import F32, F64, U8, Bool, triple
 from sabench.utils.progress import progress_bar
 
 _PLANES = 40
 _SLICE_PX, _LONGEST_PX = 480, 1024
-_QUALITY, _LOWEST_QUALITY = 80, 20
-_GAMMA = 0.5
-_DARKEST, _BRIGHTEST = 20.0, 99.9  # percentiles shown as black and white
+_QUALITY = 80
+_DARKEST = 20.0  # percentile shown as black
 _X, _Y, _Z = np.eye(3)
 
 
@@ -65,34 +64,30 @@ class PlaneStack:
             "across": rounded(self.place.across_mm),
             "down": rounded(self.place.down_mm),
             "step": rounded(self.place.step_mm, 6),
-            "planes": [compress(picture, _QUALITY) for picture in self.pictures],
+            "planes": [compress(picture) for picture in self.pictures],
         }
 
 
-def compress(grey: U8, quality: int) -> str:
+def compress(grey: U8) -> str:
     """Compress a grey picture (row, column) to a URL that holds it."""
     import cv2
 
-    _, data = cv2.imencode(".webp", grey, [cv2.IMWRITE_WEBP_QUALITY, quality])
+    _, data = cv2.imencode(".webp", grey, [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
     return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
 
 
 def camera_pictures(
     data: Dataset, frames: Sequence[int], most_bytes: int
 ) -> tuple[dict[int, list[str]], bool]:
-    """Compress every camera's image of as many frames as fit, by frame.
+    """Compress every camera's image of the first frame, and of as many more as fit.
 
-    The quality of the first frame falls until its images fit. Says also whether all frames did.
+    Says also whether all frames did.
     """
     pictures: dict[int, list[str]] = {}
     for frame in progress_bar(frames, "images"):
-        grey = [*_grey_images(data, frame)]
-        quality, encoded = _QUALITY, [compress(image, _QUALITY) for image in grey]
-        while not pictures and sum(map(len, encoded)) > most_bytes and quality > _LOWEST_QUALITY:
-            quality -= 20
-            encoded = [compress(image, quality) for image in grey]
+        encoded = [compress(image) for image in _grey_images(data, frame)]
         most_bytes -= sum(map(len, encoded))
-        if most_bytes < 0:
+        if most_bytes < 0 and pictures:
             return pictures, False
         pictures[frame] = encoded
     return pictures, True
@@ -115,15 +110,10 @@ def _grey_images(data: Dataset, frame: int) -> Iterator[U8]:
     """Scale a frame's images to 8 bits; dim particles are raised."""
     images = data.raw_images(frame)
     light = images.astype(np.float32) - np.float32(data.setup.sensor.black_dn)
-    top = np.percentile(light, _BRIGHTEST)
+    top = np.percentile(light, BRIGHTEST)
     block = -(-max(images.shape[1:]) // _LONGEST_PX)
-    grey = _grey(light, 0.0, float(max(top, 1.0)), 1.0 if is_bright(data) else _GAMMA)
-    yield from join_blocks(grey, block)
-
-
-def _grey(values: F32, low: float, high: float, gamma: float) -> U8:
-    share = np.clip((values - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0.0, 1.0)
-    return np.asarray(np.rint(255.0 * share**gamma), dtype=np.uint8)
+    shown = grey_levels(light, float(max(top, 1.0)), 1.0 if is_bright(data) else GAMMA)
+    yield from join_blocks(shown, block)
 
 
 def refocused_stack(data: Dataset, frame: int) -> PlaneStack:
@@ -135,9 +125,9 @@ def refocused_stack(data: Dataset, frame: int) -> PlaneStack:
         planes, place = _by_slabs(case, images)
     else:
         planes, place = _plane_by_plane(case, images, axis, sign)
-    low, high = np.percentile(planes, [1.0 if backlit else _DARKEST, _BRIGHTEST])
-    grey = _grey(planes, float(low), float(high), 1.0 if backlit else _GAMMA)
-    return PlaneStack("refocused images", place, grey)
+    low, high = np.percentile(planes, [1.0 if backlit else _DARKEST, BRIGHTEST])
+    shown = grey_levels(planes - np.float32(low), float(high - low), 1.0 if backlit else GAMMA)
+    return PlaneStack("refocused images", place, shown)
 
 
 def volume_stack(volume: F32, grid: Grid) -> PlaneStack:
@@ -151,8 +141,8 @@ def volume_stack(volume: F32, grid: Grid) -> PlaneStack:
     place = Planes(corner, (high - low) * _X, (high - low) * _Y, step * _Z)
     # find the value shown as white; few voxels may be bright at all
     bright = joined[joined > 0.0]
-    white = float(np.percentile(bright, _BRIGHTEST)) if bright.size else 1.0
-    return PlaneStack("reconstruction", place, _grey(joined, 0.0, white, _GAMMA))
+    white = float(np.percentile(bright, BRIGHTEST)) if bright.size else 1.0
+    return PlaneStack("reconstruction", place, grey_levels(joined, white, GAMMA))
 
 
 def _viewing_axis(case: Observation) -> tuple[int, int]:
@@ -208,7 +198,6 @@ def _place_planes(low_mm: F64, high_mm: F64, axis: int, sign: int) -> Planes:
     return Planes(middle - (edges[0] + edges[1]) / 2.0, *edges, step)
 
 
-_ALIGNMENT = 8  # bytes: where arrays may begin
 _NAMES = {"u1": "Uint8", "i2": "Int16", "u2": "Uint16", "i4": "Int32", "u4": "Uint32"}
 _NAMES |= {"f4": "Float32"}
 
@@ -230,8 +219,9 @@ class Packer:
         key = kind.encode() + content
         if key not in self._known:
             self._known[key] = len(self.index)
-            self.index.append([kind, self._size, data.size])
-            padded = content + bytes(-len(content) % _ALIGNMENT)
+            padding = bytes(-self._size % data.itemsize)  # where such arrays may begin
+            self.index.append([kind, self._size + len(padding), data.size])
+            padded = padding + content
             self._parts.append(padded)
             self._size += len(padded)
         return self._known[key]
@@ -242,8 +232,6 @@ class Packer:
 
 
 _FAR = 1.5  # largest drawn distance from the volume's middle, in volume sizes
-_BEYOND = 0.05  # valid margin of projections around the volume, share of its size
-_LEVELS, _STEPS = 65_535, 32_767  # quantization levels of positions and velocities
 _USUAL = 95.0  # percentile of speeds that has the brightest colour
 _PICTURES_BYTES = 5_000_000
 
@@ -354,7 +342,7 @@ def _particles(
     fastest: float,
     packer: Packer,
 ) -> dict[str, Any]:
-    levels = np.rint((cloud.position_mm - low) / size * _LEVELS)
+    levels = np.rint((cloud.position_mm - low) / size * np.iinfo(np.uint16).max)
     return {
         "count": len(cloud),
         "position": packer.add(levels.astype(np.uint16)),
@@ -377,8 +365,9 @@ def _bubbles(cloud: ObjectCloud, fastest: float, packer: Packer) -> dict[str, An
 
 def _short_velocities(cloud: ObjectCloud, fastest: float) -> Any:
     """Scale velocities to 16 bits; unknown ones have the lowest number."""
-    steps = np.rint(cloud.velocity_mm_s / fastest * _STEPS)
-    return np.where(np.isfinite(steps), steps, -_STEPS - 1).astype(np.int16)
+    limits = np.iinfo(np.int16)
+    steps = np.rint(cloud.velocity_mm_s / fastest * limits.max)
+    return np.where(np.isfinite(steps), steps, limits.min).astype(np.int16)
 
 
 def _describe_views(contents: PageContents, notes: list[str]) -> dict[str, Any]:
@@ -409,16 +398,11 @@ def _stacks(contents: PageContents, data: Dataset, notes: list[str]) -> list[Pla
 
 
 def projections(around: Surroundings) -> list[dict[str, Any] | None]:
-    """Replace each camera by polynomials in a box around the volume.
+    """Replace each camera by polynomials in the volume.
 
     None for a camera without a light path to all of it.
     """
-    beyond = _BEYOND * (around.high_mm - around.low_mm)
-    polynomials = []
-    for camera in around.cameras:
-        polynomial = _projection(camera, around.low_mm - beyond, around.high_mm + beyond)
-        polynomials.append(polynomial or _projection(camera, around.low_mm, around.high_mm))
-    return polynomials
+    return [_projection(camera, around.low_mm, around.high_mm) for camera in around.cameras]
 
 
 def _projection(camera: CameraModel, low_mm: F64, high_mm: F64) -> dict[str, Any] | None:

@@ -213,14 +213,12 @@ def _shapes(bubbles: AnyBubbles) -> F64:
     return np.asarray(bubbles.turn.transpose(0, 2, 1) * bubbles.semi_axes_mm[:, None, :])
 
 
-IN_FRAME, IN_ALL = 200_000, 400_000  # most objects
-_PRIME, _SPAN = 2_654_435_761, 1 << 32  # Knuth's multiplicative hash
+MOST = 400_000  # objects of all frames
 
 
 def shown_share(clouds: Sequence[ObjectCloud]) -> float:
     """Compute the share of the objects of all frames that a page shows."""
-    counts = [len(cloud) for cloud in clouds]
-    return min(1.0, IN_FRAME / max([1, *counts]), IN_ALL / max(sum(counts), 1))
+    return min(1.0, MOST / max(sum(map(len, clouds)), 1))
 
 
 def thin(clouds: Sequence[ObjectCloud], share: float) -> list[ObjectCloud]:
@@ -231,11 +229,9 @@ def thin(clouds: Sequence[ObjectCloud], share: float) -> list[ObjectCloud]:
 
 
 def _chosen(cloud: ObjectCloud, frame: int, share: float) -> Bool:
-    """Choose objects by their trajectories; those without one at random."""
+    """Choose every so many-th trajectory; objects without one at random."""
     draws = stream(0, "view", frame).random(len(cloud))
-    # scatter numbers (n,) over 0 to 1
-    spread = (cloud.trajectory % _SPAN).astype(np.uint64) * np.uint64(_PRIME) % np.uint64(_SPAN)
-    return np.where(cloud.trajectory >= 0, np.asarray(spread / _SPAN), draws) < share
+    return np.where(cloud.trajectory >= 0, cloud.trajectory * share % 1.0, draws) < share
 
 
 class Estimates:

@@ -1,10 +1,17 @@
-"""Rig as the page draws it: cameras and their frusta, walls, light and volume."""
+"""Rig as pages draw it: cameras and their frusta, walls, light and volume.
 
+The page of a view draws it in space by a script, and drawings along two edges of the volume need
+none.
+"""
+
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import ConvexHull, QhullError
 
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.camera_model import CameraModel
@@ -12,11 +19,11 @@ from sabench.geometry.common_view import SIDE, border_pixels, light_paths
 from sabench.geometry.cylinder_wall import CylinderWall, WallRecord
 from sabench.geometry.occluders import Disc
 from sabench.geometry.rigid_motion import frame_of_normal
+from sabench.plotting.outlines import Outline, draw_outlines
 from sabench.scenes.illumination import Backlight, Illumination
 from sabench.utils.arrays import F64
 
 _MARGIN = 0.04  # drawn margin of a wall beyond the light paths through it
-_BEYOND = 1.3  # length of the light over the volume's
 _DECIMALS = 4
 
 
@@ -95,12 +102,12 @@ class Surroundings:
         return np.asarray(points[np.isfinite(points).all(axis=1)])
 
     def _describe_light(self, light: Illumination) -> dict[str, Any]:
-        """Describe the light as a box that is longer than the volume."""
+        """Describe the light as a box that is as long as the volume."""
         normal, along = (
             np.asarray(axis) / np.linalg.norm(axis)
             for axis in (light.sheet_normal, light.direction)
         )
-        length = _BEYOND * float(np.abs(along) @ (self.high_mm - self.low_mm))
+        length = float(np.abs(along) @ (self.high_mm - self.low_mm))
         return {
             "center": rounded(self.center_mm + normal * (light.shift_mm or 0.0)),
             "axes": rounded([along, np.cross(normal, along), normal], 6),
@@ -185,3 +192,94 @@ def rounded(values: npt.ArrayLike, decimals: int = _DECIMALS) -> Any:
     objects = array.astype(object)
     objects[~np.isfinite(array)] = None
     return objects.tolist()
+
+
+# margins around the rig and the volume, and size of a camera, share of the drawing's larger side
+_AROUND, _NEAR, _CAMERA = 0.06, 0.6, 0.03
+_NAMES = ("x", "y", "z")
+_ARC = np.linspace(0.0, 2.0 * np.pi, 73)[:, None]
+_SIGNS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+
+
+def draw_surroundings(around: Surroundings, *, near: bool = False) -> list[tuple[str, str]]:
+    """Draw a rig, or its volume alone, twice: pairs of a title and an SVG element.
+
+    Each drawing is a projection along an edge of the volume.
+    """
+    rig = around.describe()
+    centers = np.array([camera.center_mm for camera in around.cameras])
+    axis = int(np.argmax(np.abs(centers.mean(axis=0) - around.center_mm)))
+    planes = [[axis, vertical] for vertical in range(3) if vertical != axis]
+    return [_draw(rig, plane, near=near) for plane in planes]
+
+
+def _draw(rig: dict[str, Any], plane: list[int], *, near: bool) -> tuple[str, str]:
+    """Draw everything in a plane of two axes."""
+    shapes = [Outline("volume", _hull(_corners(rig), plane), closed=True)]
+    volume = shapes[0].points_mm
+    for wall in rig["walls"]:
+        shapes += [Outline("wall", _hull(face, plane), closed=True) for face in _faces(wall)]
+    for camera in rig["cameras"]:
+        shapes += [Outline("ray", path[:, plane]) for path in _edges(camera, rig["side"])]
+    ends = volume if near else np.concatenate([shape.points_mm for shape in shapes])
+    margin = (_NEAR if near else _AROUND) * float(np.ptp(ends, axis=0).max())
+    low, high = ends.min(axis=0) - margin, ends.max(axis=0) + margin
+    length = _CAMERA * float((high - low).max())
+    shapes += [_symbol(camera, plane, length) for camera in rig["cameras"]]
+    if rig["sheet"] is not None:
+        shapes.append(Outline("sheet", _hull(_box(rig["sheet"]), plane), closed=True))
+    names = _NAMES[plane[0]], _NAMES[plane[1]]
+    title = f"{'Volume' if near else 'Rig'}, {names[0]} and {names[1]}"
+    return title, draw_outlines(title, shapes, low, high, names)
+
+
+def _corners(rig: dict[str, Any]) -> F64:
+    low, high = np.array(rig["volume"])
+    return np.asarray((low + high) / 2.0 + _SIGNS * (high - low))
+
+
+def _box(sheet: dict[str, Any]) -> F64:
+    return np.asarray(sheet["center"] + (_SIGNS * sheet["size"]) @ np.array(sheet["axes"]))
+
+
+def _faces(wall: dict[str, Any]) -> Iterator[F64]:
+    """Yield points (n, 3) at the rim of each face."""
+    if wall["kind"] == "plane":
+        ends = np.array([wall["low"], wall["high"]])
+        across = np.array(list(itertools.product(*ends.T))) @ np.array(wall["axes"])
+        for depth in wall["depths"]:
+            yield wall["point"] + across + depth * np.array(wall["normal"])
+        return
+    axis = np.array(wall["axis"])
+    first = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    first = first / np.linalg.norm(first)
+    around = np.cos(_ARC) * first + np.sin(_ARC) * np.cross(axis, first)
+    for radius in wall["radii"]:
+        rims = [radius * around + end * axis for end in (wall["low"], wall["high"])]
+        yield wall["point"] + np.concatenate(rims)
+
+
+def _edges(camera: dict[str, Any], side: int) -> Iterator[F64]:
+    """Yield the light paths (n, 3) of an image's corners."""
+    for path in camera["paths"][::side]:
+        if path[0][0] is not None:
+            yield np.array(path)
+
+
+def _symbol(camera: dict[str, Any], plane: list[int], length_mm: float) -> Outline:
+    """Draw a camera as a triangle with its tip at the pinhole."""
+    tip, forward = np.array(camera["center"])[plane], np.array(camera["axes"][2])[plane]
+    side = np.array([-forward[1], forward[0]])
+    back = tip - length_mm * forward
+    half = length_mm / 2.0 * side
+    return Outline("camera", np.array([tip, back + half, back - half]), closed=True)
+
+
+def _hull(points_mm: F64, plane: list[int]) -> F64:
+    """Find the rim (n, 2) of points (n, 3) in a plane, or the ends of a line."""
+    flat = points_mm[:, plane]
+    try:
+        return np.asarray(flat[ConvexHull(flat).vertices])
+    except QhullError:
+        order = np.lexsort(flat.T)
+        return np.asarray(flat[order[[0, -1]]])

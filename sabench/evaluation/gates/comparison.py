@@ -48,7 +48,7 @@ from sabench.tasks.external_programs import solver_name
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 from sabench.utils.version import __version__
 
 
@@ -345,11 +345,7 @@ def _compare_suite(
     findings: list[Finding] = []
     entries = []
     for number, case in enumerate(cases, 1):
-        console.print(
-            f"data set {number} of {len(cases)}: {case.name}, {case.words}",
-            markup=False,
-            highlight=False,
-        )
+        say(f"data set {number} of {len(cases)}: {case.name}, {case.words}")
         old = before.case((case.name, case.seed)) if before else None
         if old is not None and old.renderer != case.renderer:
             raise InputError(

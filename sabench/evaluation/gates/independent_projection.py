@@ -22,7 +22,7 @@ from sabench.scenes.wall import CylinderSpec, WallSpec
 from sabench.utils.arrays import F64
 
 _STEPS = 40
-_DIFFERENCE = 1e-6  # rad
+_DIFFERENCE = np.cbrt(np.finfo(np.float64).eps)  # rad: the best for central differences
 
 
 def shoot(spec: CylinderSpec, pinhole: F64, directions: F64) -> tuple[F64, F64]:
@@ -92,9 +92,6 @@ def _across(vectors: F64, axis: F64) -> F64:
 
 def _dot(vectors: F64, other: F64) -> F64:
     return np.asarray(np.sum(vectors * other, axis=-1))
-
-
-_HALVINGS = 100
 
 
 def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
@@ -171,8 +168,8 @@ def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
     # depths. The radius grows with n sin(angle), from 0 to infinity
     indices = [wall.air_index, *(layer.index for layer in wall.layers), wall.fluid_index]
     low, high = np.zeros_like(radius), np.full_like(radius, min(indices))
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2.0
+    middle = (low + high) / 2.0
+    while ((low < middle) & (middle < high)).any():  # until no number is between
         with np.errstate(divide="ignore"):
             reached = sum(
                 depth * middle / np.sqrt(index**2 - middle**2)
@@ -180,8 +177,8 @@ def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
             )
         inside = reached < radius
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
-    invariant = np.asarray((low + high) / 2.0)
-    sine = invariant / wall.air_index
+        middle = (low + high) / 2.0
+    sine = middle / wall.air_index
     return np.asarray(
         np.sqrt(1.0 - sine**2)[:, None] * normal
         + (sine / np.maximum(radius, 1e-300))[:, None] * sideways

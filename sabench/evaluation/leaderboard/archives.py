@@ -22,16 +22,14 @@ import tomli_w
 
 from sabench.dataset.results import read_solver
 from sabench.dataset.verification import probe
-from sabench.evaluation.solver_card import CARD, SolverCard, check_solvers, read_cards
+from sabench.evaluation.solver_card import CARD, MOST_CASES, SolverCard, check_solvers, read_cards
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, zip_folder
+from sabench.utils.processes.program import ProgramLimits
 from sabench.utils.validation import printable
 
-_MEMBERS = 1000
-_TOTAL_BYTES = 20_000_000_000
 _RATIO = 200  # unpacked over packed: result files are compressed already
-_SMALL_BYTES = 10_000_000  # below which no ratio is required
-_PIECE = 1 << 20
+_SMALL_BYTES = 10_000_000  # of one piece, and of all where no ratio is required
 _ENDING = ".h5"
 
 
@@ -76,8 +74,8 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
     if path.is_dir():
         files = []
         for number, entry in enumerate(path.rglob("*")):
-            if number >= _MEMBERS:
-                raise InputError(f"{path}: expected at most {_MEMBERS} files and folders")
+            if number >= MOST_CASES:
+                raise InputError(f"{path}: expected at most {MOST_CASES} files and folders")
             if entry.is_symlink():
                 link = printable(entry.relative_to(path).as_posix())
                 raise InputError(f"{path}: expected no links, got {link}")
@@ -160,7 +158,7 @@ class _InPieces(io.RawIOBase):
 
     def read(self, size: int = -1) -> bytes:
         """Read a few pieces at most."""
-        if not 0 <= size <= 4 * _PIECE:
+        if not 0 <= size <= _SMALL_BYTES:
             raise ValueError(f"a part of {size} bytes to be read at once")
         return self._file.read(size)
 
@@ -198,7 +196,7 @@ def _tar_member(path: Path, info: tarfile.TarInfo) -> Member:
 def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
     """Check all members and select the result files and cards among them."""
     packed, total, names, every = path.stat().st_size, 0, set(), []
-    for member in itertools.islice(members, _MEMBERS + 1):
+    for member in itertools.islice(members, MOST_CASES + 1):
         total += member.bytes
         name = member.name
         parts = name.replace("\\", "/").split("/")
@@ -214,15 +212,16 @@ def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
             raise InputError(
                 f"{path}: expected different names, got {printable(member.name)} twice"
             )
-        if total > _TOTAL_BYTES or (total > _SMALL_BYTES and total > _RATIO * packed):
+        most_mb, total_mb = ProgramLimits.output_mb, total / 1e6
+        if total_mb > most_mb or (total > _SMALL_BYTES and total > _RATIO * packed):
             raise InputError(
-                f"{path}: expected at most {_TOTAL_BYTES / 1e6:.0f} MB unpacked and {_RATIO} times "
-                f"its size, got {total / 1e6:.0f} MB or more"
+                f"{path}: expected at most {most_mb:.0f} MB unpacked and {_RATIO} times its size, "
+                f"got {total_mb:.0f} MB or more"
             )
         names.add(member.name)
         every.append(member)
-    if len(every) > _MEMBERS:
-        raise InputError(f"{path}: expected at most {_MEMBERS} files, got more")
+    if len(every) > MOST_CASES:
+        raise InputError(f"{path}: expected at most {MOST_CASES} files, got more")
     return [member for member in every if _is_wanted(member.name.rpartition("/")[2])]
 
 
@@ -240,7 +239,7 @@ def _copy(archive: Any, member: Member, target: Path, path: Path) -> Path:
     assert source is not None  # a plain file, as was checked
     left = member.bytes
     with source, target.open("wb") as file:
-        while piece := source.read(_PIECE):
+        while piece := source.read(_SMALL_BYTES):
             left -= len(piece)
             if left < 0:
                 raise InputError(

@@ -68,7 +68,7 @@ def mean_rank(found: Sequence[int | None], last: Sequence[int]) -> float:
 
 
 _ENTRY = ("solver", "parameters", "submission")  # on any machine
-_SAME_DIGITS = 9  # equal digits of one result's scores on machines with other rounding
+SAME_DIGITS = 9  # equal digits of one result's scores on machines with other rounding
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def distinct(records: Sequence[Record]) -> list[Record]:
 
 
 def _digits(value: float | None) -> str:
-    return "" if value is None else f"{value:.{_SAME_DIGITS}g}"
+    return "" if value is None else f"{value:.{SAME_DIGITS}g}"
 
 
 def newest(row: Record) -> str:

@@ -1,23 +1,20 @@
 """Result files from outside: matched to data sets, checked and scored."""
 
-import contextlib
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from sabench.dataset.copies import disagreements
-from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.reader import Dataset, datasets_in
 from sabench.dataset.results import estimate_hash, read_dataset_names
-from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import probe, verify
 from sabench.tasks.external_programs import write_anew
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.processes.call import call_isolated
+from sabench.utils.processes.program import ProgramLimits
 from sabench.utils.validation import printable
-
-_SCORE_S = 3600.0  # for one result
 
 
 def match_data_sets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
@@ -71,12 +68,7 @@ def data_sets_in(folders: Sequence[Path]) -> Iterator[Dataset]:
     for folder in folders:
         if not folder.is_dir():
             raise InputError(f"{folder}: expected a folder of data sets, found none")
-        for root in (folder, *sorted(folder.iterdir())):
-            if not root.name.startswith(".") and (root / MANIFEST).is_file():
-                with contextlib.suppress(InputError):  # no result belongs to it
-                    data = open_dataset(root)
-                    if data.has_truth:
-                        yield data
+        yield from (data for data in datasets_in(folder) if data.has_truth)
 
 
 def score_safely(label: str, file: Path, data: Dataset) -> dict[str, Any]:
@@ -89,9 +81,8 @@ def score_safely(label: str, file: Path, data: Dataset) -> dict[str, Any]:
     InputError
         A result that `score` refuses, or one that takes more than an hour.
     """
-    return dict(
-        call_isolated(_score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S)
-    )
+    doing, time_s = f"result {printable(label)}", ProgramLimits.time_s
+    return dict(call_isolated(_score, file, data.root, doing=doing, time_s=time_s))
 
 
 def _score(file: Path, root: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 from sabench import tasks
+from sabench.evaluation.leaderboard.cells import SAME_DIGITS
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.tasks.quality import FIGURES_OF
@@ -63,7 +64,6 @@ _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
 _DEGREES = 100
 # digits of every score on the page: more than any table shows, to keep small differences of pairs
 # correct
-_DIGITS = 9
 
 
 def cases_of(rows: Sequence[Record]) -> list[list[Record]]:
@@ -280,7 +280,7 @@ def pair(score: Mean | None) -> list[float] | None:
 
 def short(value: float) -> float:
     """Round a number to the digits that the page may show."""
-    return float(f"{value:.{_DIGITS}g}")
+    return float(f"{value:.{SAME_DIGITS}g}")
 
 
 def text_of(values: Record) -> str:

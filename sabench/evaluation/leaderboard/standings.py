@@ -313,8 +313,8 @@ def _placed(lines: list[Line]) -> list[Line]:
     return sorted(placed, key=lambda line: (line.missing, line.mean_rank, line.result.place))
 
 
-_MOST_LINES = 100  # lines of one suite, the best first
-_MOST_STATIC = 200  # lines of the table for browsers without scripts
+# lines of one suite, the best first, and of all suites for browsers without scripts
+_MOST_LINES = 100
 
 
 def front_of(cases: Sequence[Sequence[Record]]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -424,7 +424,7 @@ def _difference(parameters: Record, all_: Sequence[Record]) -> str:
 
 def _static(boards: Sequence[Board]) -> Iterator[dict[str, Any]]:
     """Make plain tables of the standings, as many lines as a page can hold."""
-    left = _MOST_STATIC
+    left = _MOST_LINES
     for board in boards:
         lines = board.lines[: max(left, 0)]
         left -= len(lines)

@@ -14,14 +14,14 @@ from sabench.dataset.reader import Dataset
 from sabench.evaluation.leaderboard.archives import submitted_files
 from sabench.evaluation.leaderboard.cells import distinct
 from sabench.evaluation.leaderboard.foreign_results import match_data_sets, score_safely
-from sabench.evaluation.record_schema import Record
+from sabench.evaluation.record_schema import LONGEST_NAME, Record
 from sabench.evaluation.records import append, encode, latest, read_records, run_key, same_data
 from sabench.evaluation.runner import build_board
 from sabench.evaluation.solver_card import check_solvers, read_cards
 from sabench.evaluation.suite_loading import is_public
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
-from sabench.utils.progress import console, progress_bar
+from sabench.utils.progress import progress_bar, say
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
 
@@ -54,8 +54,7 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
         # describe a private data set by its content hash alone
         name = f"private-{data.content_hash[:12]}"
         reason = "no public record and no bundled suite has its scene with its seed"
-        text = f"{data.root}: recorded as {name}: {reason}"
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        say(f"{data.root}: recorded as {name}: {reason}")
         return {
             "case": name,
             "scene": "private",
@@ -111,9 +110,6 @@ def _is_other(earlier: Record, record: Record) -> bool:
 def _entry(record: Record) -> str:
     who = f" of {record['submission']['name']}" if record.get("submission") else ""
     return printable(f"{record['solver']}{who}", 200)
-
-
-_LONGEST_NAME = 80
 
 
 @dataclass(frozen=True)
@@ -201,9 +197,9 @@ def submit(
 
 def _check_name(name: str) -> None:
     """Refuse a name that is empty, too long or cannot be printed."""
-    if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
+    if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
         raise InputError(
-            f"name: expected 1 to {_LONGEST_NAME} printable characters, got {printable(name)!r}"
+            f"name: expected 1 to {LONGEST_NAME} printable characters, got {printable(name)!r}"
         )
 
 
@@ -212,8 +208,7 @@ def _recognised(labels: list[str], records: list[Record], existing: list[Record]
     noted: list[Record] = []
     for label, record in zip(labels, records, strict=True):
         if twin := recognise(record, [*existing, *noted]):
-            text = f"{printable(label)}: its estimates are those of {twin}; the record says so"
-            console.print(text, markup=False, highlight=False, soft_wrap=True)
+            say(f"{printable(label)}: its estimates are those of {twin}; the record says so")
         noted.append({**record, "same_estimates_as": twin})
     return noted
 

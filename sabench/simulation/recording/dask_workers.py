@@ -10,7 +10,7 @@ from distributed import Client, wait
 from sabench.simulation.recording.schedule import Outcome, RecordingTask
 from sabench.simulation.recording.worker import run_task
 from sabench.utils.errors import InputError
-from sabench.utils.progress import console
+from sabench.utils.progress import say
 
 _REPORT_S = 20.0  # time without an outcome after which it reports a lack of workers
 _CONNECT_S = 8.0  # time limit of the first connection
@@ -66,8 +66,7 @@ class DaskPool:
             ended = wait(list(self._tasks), timeout=_REPORT_S, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             if not self._addresses():
-                message = "waiting for workers: the scheduler has none"
-                console.print(message, style="dim", highlight=False)
+                say("waiting for workers: the scheduler has none", "dim")
             return []
         return [self._outcome(future) for future in ended]
 

@@ -11,6 +11,7 @@ import functools
 import json
 import math
 import multiprocessing
+import multiprocessing.util
 import os
 import sys
 import time
@@ -34,13 +35,12 @@ _KEPT = (  # variables that a confined process gets; and those that begin so
     ("PATH", "LANG", "TZ", "TERM", "COLUMNS", "NO_COLOR", "FORCE_COLOR", "CUDA_VISIBLE_DEVICES"),
     ("LC_", "LD_", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_", "DRJIT_", "MI_", "SABENCH_", "PYTHON"),
 )
-_MOST_FILES = 1 << 16  # numbers of open files that are closed
 _CPU_S = 4.0  # seconds of CPU time for the structure of a file
 _RATE = 2e7  # bytes of a file for each further second
 _MEMORY_MB = 1000.0  # of the child, besides what it shares with its server
 _EXPANSION = 50.0  # times a file's size that its values may take in addition
 _PATIENCE = 30.0  # seconds for each of CPU time, after which a sleeping child is killed
-_OVERDUE = describe_end(-24)  # SIGXCPU
+_OVERDUE = "signal SIGXCPU"
 
 
 def call_isolated(
@@ -151,7 +151,7 @@ def _call(
     # Close what leads to other processes. One file tells the server that its clients live: held
     # here, it would outlive a killed parent.
     os.closerange(3, sender.fileno())
-    os.closerange(sender.fileno() + 1, _MOST_FILES)
+    os.closerange(sender.fileno() + 1, multiprocessing.util.MAXFD)
     resource_tracker._resource_tracker._fd = None  # type: ignore[attr-defined] # one of its own
     if sys.platform == "linux":
         die_with_parent()
@@ -211,10 +211,7 @@ def read_isolated(
 
 
 def _read(
-    read: Callable[..., None],
-    limits: tuple[float, float],
-    path: Path,
-    arguments: tuple[Any, ...],
+    read: Callable[..., None], limits: tuple[float, float], path: Path, arguments: tuple[Any, ...]
 ) -> None:
     _limit_self(*limits)
     nowhere = os.open(os.devnull, os.O_WRONLY)  # for what libraries print about damaged files

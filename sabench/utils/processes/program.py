@@ -19,7 +19,7 @@ from typing import IO
 import psutil
 
 from sabench.utils import memory
-from sabench.utils.errors import InputError
+from sabench.utils.errors import LISTED, InputError
 from sabench.utils.processes.confinement import VisiblePaths, start_input, start_words
 from sabench.utils.validation import printable
 
@@ -27,9 +27,8 @@ _KEPT: tuple[str, ...] = ("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "TZ")
 _KEPT += ("OMP_NUM_THREADS", "CUDA_VISIBLE_DEVICES")
 _TOKEN = "SABENCH_PROGRAM"  # variable that marks every process below a program, wherever it hides
 _TAIL = 1 << 14  # bytes of output that are kept
-_WAITS = (0.01, 0.25)  # shortest and longest time between two looks (s)
+_LOOK_S = 0.25  # longest time between two looks
 _OUTPUT_EVERY = 1.0  # time between two looks at the files (s)
-_LONGEST = 300  # characters of a process's last line that an error repeats
 _MEMORY_SHARE = 0.9  # of the free memory, where no limit is given
 
 
@@ -199,11 +198,10 @@ def _watch(
                 breach = f"it wrote {written:.0f} MB"
                 return peak_mb, f"expected at most {limits.output_mb:.0f} MB of files, but {breach}"
         # the next look: after a twentieth of the time elapsed, not beyond the limit
-        shortest, longest = _WAITS
-        rest = max(limits.time_s - (now - start), 0.001)
-        end = time.monotonic() + min(max((now - start) / 20.0, shortest), longest, rest)
-        while process.poll() is None and (left := end - time.monotonic()) > 0.0:
-            time.sleep(min(left, 0.01))
+        end = min(time.monotonic() + min((now - start) / 20.0, _LOOK_S), start + limits.time_s)
+        time.sleep(0.01)
+        while process.poll() is None and time.monotonic() < end:
+            time.sleep(0.01)
 
 
 def _end(process: subprocess.Popen[bytes], token: str) -> None:
@@ -280,7 +278,7 @@ def describe_end(code: int | None) -> str:
 def last_line(output: bytes) -> str:
     """Return the last line that is not empty, fit for printing."""
     lines = output.decode("utf-8", "replace").splitlines()
-    return printable(next((line.strip() for line in reversed(lines) if line.strip()), ""), _LONGEST)
+    return printable(next((line.strip() for line in reversed(lines) if line.strip()), ""), LISTED)
 
 
 def last_words(line: str) -> str:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from sabench.utils import memory
+from sabench.utils.code_hash import PACKAGE
 from sabench.utils.errors import InputError
 from sabench.utils.processes.program import (
     check_exit_code,
@@ -29,7 +30,6 @@ from sabench.utils.processes.program import (
 )
 from sabench.utils.progress import progress_bar
 
-_ROOT = Path(__file__).resolve().parents[3]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -64,7 +64,7 @@ def start_python(
 
 
 def _environment(threads: int | None) -> dict[str, str]:
-    paths = [path for path in (*sys.path, str(_ROOT)) if path]
+    paths = [path for path in (*sys.path, str(PACKAGE.parent)) if path]
     limits = {} if threads is None else dict.fromkeys(_THREADS, str(threads))
     return os.environ | limits | {"PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
 

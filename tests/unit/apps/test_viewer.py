@@ -33,7 +33,8 @@ from sabench.apps.viewer.points import (
     place_vectors,
     with_velocities,
 )
-from sabench.apps.viewer.view import draw_surroundings, render_contents
+from sabench.apps.viewer.surroundings import draw_surroundings
+from sabench.apps.viewer.view import render_contents
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.geometry.common_view import lattice_of
@@ -290,8 +291,7 @@ def test_unknown_velocities_come_from_positions_and_known_ones_stay() -> None:
 
 
 def test_thinning_keeps_trajectories_and_shares_of_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(points, "IN_FRAME", 5000)
-    monkeypatch.setattr(points, "IN_ALL", 8000)
+    monkeypatch.setattr(points, "MOST", 8000)
     rng = np.random.default_rng(2)
     numbers = np.arange(10_000)
     clouds = [cloud_of(rng.permutation(numbers).tolist()) for _ in range(2)]
@@ -330,4 +330,5 @@ def test_arrays_come_back_from_a_page() -> None:
     back = unpack(packer)
     for array, place in zip(arrays, places, strict=True):
         assert np.array_equal(back[place], array.ravel())
-    assert all(offset % 8 == 0 for _, offset, _ in packer.index)
+    sizes = {"Uint8": 1, "Int16": 2, "Float32": 4, "Int32": 4}
+    assert all(offset % sizes[kind] == 0 for kind, offset, _ in packer.index)

@@ -106,7 +106,7 @@ def test_points_through_a_wall_give_a_polynomial_camera(tmp_path: Path) -> None:
     write_cameras(tmp_path / "out", CAMERAS, "lpt-challenge", grid=GRID)
     with pytest.warns(ForeignFormatWarning) as said:
         found = read_cameras(tmp_path / "out", "lpt-challenge", size=SIZE)
-    check_sentence(str(said[0].message), "camera 0", "3375")
+    check_sentence(str(said[0].message), "camera 0", "4913")
     assert difference_px(found, CAMERAS, ForeignWorld()) < 1e-3
 
 

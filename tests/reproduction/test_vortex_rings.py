@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from reproduction.vortex_rings import circulation, core, half_plane, interpolate_field, spin_of
 from sabench.api import Velocity
 from sabench.api.make import generator_of
 from sabench.metrics.velocity_error import response
-from sabench.metrics.vortex_rings import circulation, core, half_plane, interpolate_field, spin_of
 from sabench.plotting.drawing import Figure, Panel, Picture, Slice, draw
 from sabench.utils.arrays import F64, triple
 
