@@ -46,8 +46,7 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
 
 
 _STEPS = 200
-_GAIN = 1e-9  # a step with a smaller predicted relative decrease of the cost is the last
-_HARDLY = 1e-9  # damping that changes no step of what the images determine
+_HARDLY = 1e-9  # relative decrease of the cost, and damping, that change nothing
 _EXACT = 1e-18  # square pixels per observation: nothing is left to gain below
 
 
@@ -227,7 +226,7 @@ def refine(
             return Fit(state, here.cost, step, math.isfinite(here.cost))
         while damping < 1e12:
             cameras, boards, promise = _step(here, damping, moving)
-            if promise <= _GAIN * here.cost:
+            if promise <= _HARDLY * here.cost:
                 return Fit(state, here.cost, step, True)
             steps = parameters.steps_of(cameras, len(state.rotations), free, len(state.indices))
             tried = state.apply_steps(*steps, boards, free)

@@ -12,10 +12,14 @@ from scipy.spatial import cKDTree
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.parameters import State, WallFrame
 from sabench.geometry.refraction import Wall
+from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 
 _LEAST_INDEX = 0.99  # of any medium
+FLAT = 1e-3  # width over length of what counts as a line, thickness over width of a plane
+# standard deviations of a coordinate that misses of right points exceed at the rate of false alarms
+ODD = np.sqrt(-2.0 * np.log(FALSE_ALARMS))
 _MIRROR = np.diag([1.0, 1.0, -1.0])
 
 

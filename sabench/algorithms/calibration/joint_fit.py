@@ -14,9 +14,9 @@ that of the median miss, and the second part is repeated while it changes by mor
 Where known points fix every board, the cameras are fitted to these first; where a case knows its
 cameras, only the boards are fitted.
 
-Outliers. If a miss exceeds six times the noise, the fit is repeated with Cauchy's loss, whose scale
-falls with the misses; then points beyond four times the noise are left out, and least squares
-follow, until the points that are used no longer change.
+Outliers. A miss that right points exceed once in 100,000 times is odd (4.8 times the noise). If
+there is one, the fit is repeated with Cauchy's loss, whose scale falls with the misses; then odd
+points are left out, and least squares follow, until the points that are used no longer change.
 
 Impossible ends (`fit_checks.list_faults`: a board in the wall, a negative focal length). Through a
 plane wall images hardly show the depth of all boards together. The fit is tried from mirrored
@@ -44,18 +44,17 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     refine,
     residuals,
 )
-from sabench.algorithms.calibration.fit_checks import depths_of, list_faults, mirror_boards
+from sabench.algorithms.calibration.fit_checks import ODD, depths_of, list_faults, mirror_boards
 from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.utils.arrays import F64, I64, Bool
 
-_NOTHING_ODD = 6.0  # standard deviations: of normal errors, 3e-8 exceed it
-_REJECT = 4.0  # standard deviations beyond which a point counts as an outlier
-_REWEIGHTINGS = 10
-_RAYLEIGH_MEDIAN = 1.17741  # median length of a pair of standard normal numbers
-_CAUCHY = 2.4  # scale of Cauchy's loss, standard deviations
+_ROUNDS = 10  # of weights, at most
+_SAME_NOISE = 0.1  # relative change of the noise below which weights stay
+CAUCHY = 2.4  # scale of Cauchy's loss over the noise: 95 % efficient for normal errors
+LEAST_NOISE_PX = 1e-3  # of any detection; weights of known positions are finite
 
 Held = Literal["richer model", "initial guess"]
 
@@ -94,13 +93,13 @@ def adjust(
     start = np.asarray(seen.weights > 0.0)
     fit, used = refine(state, seen, free, moving=moving), start
     noise = noise_px or median_noise(_lengths(fit.state, seen)[used])
-    if _lengths(fit.state, seen)[used].max(initial=0.0) <= _NOTHING_ODD * max(noise, 1e-9):
+    if _lengths(fit.state, seen)[used].max(initial=0.0) <= ODD * noise:
         return Robust(fit, used, noise)
     fit = _fit_cauchy(fit.state, seen, free, moving)
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(_ROUNDS):
         lengths = _lengths(fit.state, seen)
         noise = median_noise(lengths[used])
-        accepted = start & (lengths <= _REJECT * max(noise, 1e-9))
+        accepted = start & (lengths <= ODD * noise)
         if np.array_equal(accepted, used):
             break
         used = accepted
@@ -113,9 +112,9 @@ def _fit_cauchy(state: State, views: BoardImages, free: FreeParameters, moving: 
     """Fit with Cauchy's loss; its scale falls with the errors."""
     used = np.asarray(views.weights > 0.0)
     scale = np.inf
-    for _ in range(_REWEIGHTINGS):
-        smaller = _CAUCHY * max(median_noise(_lengths(state, views)[used]), 1e-6)
-        if smaller > 0.9 * scale:
+    for _ in range(_ROUNDS):
+        smaller = CAUCHY * median_noise(_lengths(state, views)[used])
+        if smaller > (1.0 - _SAME_NOISE) * scale:
             break
         scale = smaller
         fit = refine(state, views, free, scale, moving=moving)
@@ -130,13 +129,10 @@ def _lengths(state: State, views: BoardImages) -> F64:
 
 
 def median_noise(lengths: F64) -> float:
-    """Compute the standard deviation of coordinates from pairs' median length."""
-    return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
+    """Compute the standard deviation of coordinates from pairs' median length (Rayleigh)."""
+    return max(float(np.median(lengths) / np.sqrt(np.log(4.0))), LEAST_NOISE_PX)
 
 
-_LEAST_NOISE_PX = 1e-3  # least noise for the weights of known positions
-_ROUNDS = 3  # of weighing what is known against the noise, where it changes much
-_SAME_NOISE = 0.1  # relative change of the noise below which weights stay
 THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
 INDEX_SIGMA = 0.05  # of a nominal index
 _WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
@@ -157,7 +153,7 @@ def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
         fit = refine(problem.start, problem.seen, free.of_lenses, moving="cameras")
         used = np.asarray(problem.seen.weights > 0.0)
         lengths = np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[used]
-        placed = Robust(fit, used, max(median_noise(lengths), _LEAST_NOISE_PX))
+        placed = Robust(fit, used, median_noise(lengths))
         return _weigh(replace(problem, start=fit.state), placed, free)
     robust = _fit_soundly(problem, problem.seen, free.of_lenses)
     if free == free.of_lenses and not make_anchors(problem.case, problem.frame, 1.0):
@@ -176,7 +172,7 @@ def fixes_world(problem: CalibrationProblem) -> bool:
 def _weigh(problem: CalibrationProblem, robust: Robust, free: FreeParameters) -> Robust:
     """Fit with the known places and nominal values, weighed against the noise."""
     for _ in range(_ROUNDS):
-        noise = max(robust.noise_px, _LEAST_NOISE_PX)
+        noise = robust.noise_px
         anchors = make_anchors(problem.case, problem.frame, noise)
         prior = make_prior(problem.start, noise)
         views = replace(problem.seen, anchors=anchors, prior=prior)
@@ -222,7 +218,7 @@ def _fit_richly(
     if problem.frame.wall is None or not np.isfinite(robust.noise_px):
         return None
     rich = replace(free, distortion=_RICH, tilt=True, bend=True)
-    views = replace(views, prior=make_prior(problem.start, max(robust.noise_px, _LEAST_NOISE_PX)))
+    views = replace(views, prior=make_prior(problem.start, robust.noise_px))
     first = adjust(problem.start, views, rich)
     later = (adjust(start, views, rich) for start in _other_starts(problem, first.fit.state, views))
     ends = itertools.chain([first], later)
@@ -262,7 +258,7 @@ def _hold_depth(
     depths = depths_of(start, views)
     boards = np.flatnonzero(np.isfinite(depths).any(axis=1))
     sigma = part * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(boards))
-    weight = (max(noise_px, _LEAST_NOISE_PX) / sigma) ** 2
+    weight = (noise_px / sigma) ** 2
     middle = int(np.argmin(np.linalg.norm(views.board, axis=1)))
     places = start.points(views.board)[:, middle]
     held = tuple(
