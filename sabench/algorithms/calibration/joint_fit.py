@@ -129,7 +129,7 @@ def _lengths(state: State, views: BoardImages) -> F64:
 
 
 def median_noise(lengths: F64) -> float:
-    """Compute the standard deviation of coordinates from pairs' median length (Rayleigh)."""
+    """Compute the standard deviation of coordinates from their pairs' median length."""
     return max(float(np.median(lengths) / np.sqrt(np.log(4.0))), LEAST_NOISE_PX)
 
 

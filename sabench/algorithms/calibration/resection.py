@@ -13,6 +13,7 @@ from sabench.algorithms.calibration.fit_checks import FLAT
 from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame, common_plane
 from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera, aimed_rotation
+from sabench.geometry.common_view import FLATTEST_DEGREES
 from sabench.geometry.polynomial_cameras import fit_planes as fit_planes, fit_soloff as fit_soloff
 from sabench.geometry.projective_camera import (
     Projective as Projective,
@@ -121,9 +122,6 @@ def _refit_boards(best: State, start: State, views: BoardImages) -> State:
     )
 
 
-_FLATTEST_DEGREES = 15.0  # between a line of sight and planes of constant Z
-
-
 def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
     """Return positions (n, 3) and pixels (n, 2) of all points that a camera found."""
     points, pixels = known_frames(case, camera)
@@ -154,10 +152,10 @@ def reason_if_edge_on(case: CalibrationCase) -> str | None:
     """Say which camera sees planes of constant Z edge-on; None if none does."""
     for camera in case.cameras:
         angle = float(np.rad2deg(np.arcsin(min(abs(camera.rotation[2][2]), 1.0))))
-        if angle < _FLATTEST_DEGREES:
+        if angle < FLATTEST_DEGREES:
             return (
                 f"its polynomial is quadratic along Z, and {camera.name} looks {angle:.0f} degrees "
-                f"from planes of constant Z (at least {_FLATTEST_DEGREES:.0f}): turn the world so "
+                f"from planes of constant Z (at least {FLATTEST_DEGREES:.0f}): turn the world so "
                 "that Z is the viewing direction"
             )
     return None
