@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.calibration_reality import TANKS, guess, make_tank
+from benchmarks.calibration_reality import TANKS, Errors, guess, make_tank
 from reproduction.chapter_4 import Board, draw, photograph, places_of, reprojection
 from sabench.algorithms.calibration.target_detection import detect_target
 from sabench.algorithms.calibration.unknown_selection import select_unknowns
@@ -54,11 +54,11 @@ def board(count: int = 4, **changes: Any) -> Callable[[int], Board]:
     return make
 
 
-def tank(name: str, *unknown: Any, frames: int = 10) -> Callable[[int], Board]:
+def tank(errors: Errors, *unknown: Any, frames: int = 10) -> Callable[[int], Board]:
     """Make a case of a tank with a guess as of a ruler, and some of its frames."""
 
     def make(seed: int) -> Board:
-        made = make_tank(TANKS[name], seed)
+        made = make_tank(errors, seed)
         given, points = guess(made.case, seed), made.points_mm[:frames]
         exact = np.stack([camera.project(points.reshape(-1, 3))[0] for camera in made.cameras])
         exact = exact.reshape(len(made.cameras), *points.shape[:2], 2)
@@ -288,7 +288,9 @@ _CYLINDER = {
     "layers": [{"name": "glass", "index": 1.5, "thickness_mm": 5.0}],
     "fluid_index": 1.333,
 }
-_NEAR = "all of these, near the wall, depth unknown"
+_OFF = TANKS["known places, wall off by 50 mm"]
+_NEAR = TANKS["all of these, near the wall, depth unknown"]
+_BENT = Errors(k3=400.0, tilt_deg=0.7, bend_mm=-0.6, near_mm=40.0)
 _OUTLIERS = {"noise_px": 0.1, "outliers": 0.2}
 CALIBRATION: dict[str, Case] = {
     "boards, exact": (board(detection={"noise_px": 0.0}), solved_by(_AUTOCAL, 0.01)),
@@ -309,9 +311,9 @@ CALIBRATION: dict[str, Case] = {
         solved_by(_AUTOCAL, 1.0),
     ),
     "wand": (board(**_WAND), solved_by(_AUTOCAL, 1.0)),
-    "ruler": (tank("ideal", frames=5), solved_by(_AUTOCAL, 1.0)),
+    "ruler": (tank(TANKS["ideal"], frames=5), solved_by(_AUTOCAL, 1.0)),
     "wall off": (
-        tank("known places, wall off by 50 mm", "wall", "thickness", "fluid_index", "k1", frames=6),
+        tank(_OFF, "wall", "thickness", "fluid_index", "k1", frames=6),
         solved_by(_AUTOCAL, 0.1),
     ),
     "near the wall": (tank(_NEAR, frames=6), solved_by(_AUTOCAL, 10.0)),
@@ -326,11 +328,12 @@ CALIBRATION: dict[str, Case] = {
         ),
         solved_by(_AUTOCAL, 30.0),
     ),
+    "bent into the wall": (tank(_BENT), solved_by(_AUTOCAL, 2.0)),
     "cylinder": (
         board(3, frames=3, wall=_CYLINDER, targets={"columns": 5, "rows": 4}),
         solved_by(_AUTOCAL, 0.5, fit_rigid_motion),
     ),
-    "chosen unknowns": (tank("all of these", frames=6), chooses),
+    "chosen unknowns": (tank(TANKS["all of these"], frames=6), chooses),
     "factors": (board(6, wall=None), solved_by("linear_autocal", 1.0, fit_rigid_motion)),
     "factors, hidden points": (
         changed(board(6, wall=None), hide),

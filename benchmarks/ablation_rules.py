@@ -64,8 +64,6 @@ OFF = {
     "algorithms.calibration.disparity._by_parts": "return np.ones((1, 1)), whole[None]",
     "algorithms.calibration.factorisation._FOCAL": "0.0",
     "algorithms.calibration.joint_fit._ROUNDS": "1",
-    "algorithms.calibration.joint_fit._HELD": "(0.1,)",
-    "algorithms.calibration.joint_fit._fit_richly": "return None",
     "algorithms.calibration.joint_fit._other_starts": "yield from ()",
     "algorithms.calibration.joint_fit._staged": "return start",
     "algorithms.calibration.problem._check_corners": "return",

@@ -20,15 +20,14 @@ points are left out, and least squares follow, until the points that are used no
 
 Impossible ends (`fit_checks.list_faults`: a board in the wall, a negative focal length). Through a
 plane wall images hardly show the depth of all boards together. The fit is tried from mirrored
-boards, and from boards placed before the cameras; then with more unknowns; and last with the depth
-held near that of such a fit, or of the initial guess, which the answer says. A fit that stays
-impossible is refused by `input_checks.check_fit`.
+boards, and from boards placed before the cameras; without known positions also with lenses and
+boards that are less ideal; and last with the depth held near the initial guess. The answer says so.
+A fit that stays impossible is refused by `problem.check_fit`.
 
 `alternate` is the auto-calibration of J. Belden's thesis (MIT 2011, figure 4-1 and section 4.4.2):
 cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
 """
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -63,7 +62,7 @@ Held = Literal["richer model", "initial guess"]
 class Robust:
     """Fit, used observations (camera, board, point), noise of a coordinate in px.
 
-    `held` names the source of the boards' depth if it had to be held.
+    `held` names what determines the boards' depth if the unknowns alone put boards into the wall.
     """
 
     fit: Fit
@@ -138,14 +137,14 @@ INDEX_SIGMA = 0.05  # of a nominal index
 _WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
 _BEND_MM = 1.0  # of a board that is nominally flat
 _RICH = ("k1", "k2", "p1", "p2")  # tried, with tilts and bend, where unknowns lack
-_HELD = (0.5, 0.1, 0.02)  # standard deviations of a depth that no image shows, parts of it
+_HELD = 0.1  # standard deviation of a depth that no image shows, part of it
 
 
 def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
     """Adjust cameras, boards and what they share, robustly.
 
     If the end state is impossible (see `fit_checks.list_faults`), other starts are tried. If all of
-    them fail, the last one is returned: `input_checks.check_fit` refuses it.
+    them fail, the last one is returned: `problem.check_fit` refuses it.
     """
     if not free.cameras:
         return _weigh(problem, adjust(problem.start, problem.seen, free, moving="boards"), free)
@@ -176,8 +175,9 @@ def _weigh(problem: CalibrationProblem, robust: Robust, free: FreeParameters) ->
         anchors = make_anchors(problem.case, problem.frame, noise)
         prior = make_prior(problem.start, noise)
         views = replace(problem.seen, anchors=anchors, prior=prior)
-        robust = adjust(problem.align_to_nominal(robust.fit.state), views, free)
-        if not _is_sound(robust, views, problem):
+        if robust.held is None:
+            robust = adjust(problem.align_to_nominal(robust.fit.state), views, free)
+        if robust.held or not _is_sound(robust, views, problem):
             robust = _fit_soundly(problem, views, free)
         if free == free.of_lenses or abs(robust.noise_px - noise) <= _SAME_NOISE * noise:
             break
@@ -194,35 +194,23 @@ def make_prior(nominal: State, noise_px: float) -> SharedPrior:
 
 
 def _fit_soundly(problem: CalibrationProblem, views: BoardImages, free: FreeParameters) -> Robust:
-    """Fit from the start, and from other states until the end is possible."""
+    """Fit from several starts, with more unknowns, or with a held depth, until it is possible."""
     robust = adjust(problem.start, views, free)
     if _is_sound(robust, views, problem):
         return robust
     ends = [adjust(start, views, free) for start in _other_starts(problem, robust.fit.state, views)]
     if sound := [end for end in ends if _is_sound(end, views, problem)]:
         return min(sound, key=lambda end: end.noise_px)
-    start, deep = _staged(problem.start, views, free), _fit_richly(problem, views, free, robust)
-    for part in _HELD:
-        held = _hold_depth(deep or problem.start, problem, views, robust.noise_px, part)
-        robust = adjust(start, held, free)
-        if _is_sound(robust, views, problem):
-            break
-    return replace(robust, held="richer model" if deep else "initial guess")
-
-
-def _fit_richly(
-    problem: CalibrationProblem, views: BoardImages, free: FreeParameters, robust: Robust
-) -> State | None:
-    """Fit with more unknowns; None if the end state is impossible, too."""
-    # a bent board modelled as flat appears at another depth
-    if problem.frame.wall is None or not np.isfinite(robust.noise_px):
-        return None
     rich = replace(free, distortion=_RICH, tilt=True, bend=True)
-    views = replace(views, prior=make_prior(problem.start, robust.noise_px))
-    first = adjust(problem.start, views, rich)
-    later = (adjust(start, views, rich) for start in _other_starts(problem, first.fit.state, views))
-    ends = itertools.chain([first], later)
-    return next((end.fit.state for end in ends if _is_sound(end, views, problem)), None)
+    if problem.frame.wall and np.isfinite(robust.noise_px) and free != rich and not views.anchors:
+        # a bent board modelled as flat appears at another depth
+        prior = make_prior(problem.start, robust.noise_px)
+        richer = _fit_soundly(problem, replace(views, prior=prior), rich)
+        if richer.held is None:
+            return replace(richer, held="richer model")
+    start = _staged(problem.start, views, free)
+    held = _hold_depth(problem.start, problem, views, robust.noise_px)
+    return replace(adjust(start, held, free), held="initial guess")
 
 
 def _is_sound(robust: Robust, views: BoardImages, problem: CalibrationProblem) -> bool:
@@ -245,19 +233,18 @@ def _staged(start: State, views: BoardImages, free: FreeParameters) -> State:
 
 
 def _hold_depth(
-    start: State, problem: CalibrationProblem, views: BoardImages, noise_px: float, part: float
+    start: State, problem: CalibrationProblem, views: BoardImages, noise_px: float
 ) -> BoardImages:
     """Anchor boards to their depths in a state, within a part of the mean.
 
-    Through a plane wall images hardly show the depth of all boards together: where noise, or a
-    flaw of the model, would put boards into the wall, a richer model or the nominal depth is nearer
-    to the truth.
+    Through a plane wall images hardly show the depth of all boards together: where noise would put
+    boards into the wall, the nominal depth is nearer to the truth.
     """
     if problem.frame.wall is None or not np.isfinite(noise_px):
         return views
     depths = depths_of(start, views)
     boards = np.flatnonzero(np.isfinite(depths).any(axis=1))
-    sigma = part * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(boards))
+    sigma = _HELD * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(boards))
     weight = (noise_px / sigma) ** 2
     middle = int(np.argmin(np.linalg.norm(views.board, axis=1)))
     places = start.points(views.board)[:, middle]

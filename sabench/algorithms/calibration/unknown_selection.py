@@ -90,7 +90,10 @@ def select_unknowns(case: CalibrationCase) -> tuple[tuple[Unknown, ...], tuple[N
     base = fit_jointly(problem, FreeParameters())
     held = _HeldOut(problem, folds, layers, base.noise_px)
     chosen: tuple[Unknown, ...] = ()
-    state, losses = base.fit.state, held.losses(base.fit.state, ())
+    state = base.fit.state
+    if base.held:  # without what was fitted in addition
+        state = replace(state, lenses=problem.start.lenses, bend=problem.start.bend)
+    losses = held.losses(state, ())
     if losses is None:
         raise InputError("expected frames that hold-out fits can place, got none")
     rows = [Nested((), _px(losses), None, None, True)]

@@ -101,7 +101,7 @@ def test_a_depth_that_images_put_into_the_wall_is_held(monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
-def test_the_depth_of_a_richer_model_is_held_rather_than_the_guess() -> None:
+def test_a_richer_model_answers_rather_than_the_guess() -> None:
     """Taken for flat, the bent boards end in the wall; the guess is 30 mm too deep."""
     errors = calibration_reality.TANKS["all of these, near the wall, depth unknown"]
     tank = calibration_reality.make_tank(errors, seed=40)
