@@ -19,16 +19,14 @@ there is one, the fit is repeated with Cauchy's loss, whose scale falls with the
 points are left out, and least squares follow, until the points that are used no longer change.
 
 Impossible ends (`fit_checks.list_faults`: a board in the wall, a negative focal length). Through a
-plane wall images hardly show the depth of all boards together. The fit is tried from mirrored
-boards, and from boards placed before the cameras; without known positions also with lenses and
-boards that are less ideal; and last with the depth held near the initial guess. The answer says so.
-A fit that stays impossible is refused by `problem.check_fit`.
+plane wall images hardly show the depth of all boards together. Without known positions the fit is
+repeated with lenses and boards that are less ideal; then with the depth held near the initial
+guess. The answer says so. A fit that stays impossible is refused by `problem.check_fit`.
 
 `alternate` is the auto-calibration of J. Belden's thesis (MIT 2011, figure 4-1 and section 4.4.2):
 cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -43,7 +41,7 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     refine,
     residuals,
 )
-from sabench.algorithms.calibration.fit_checks import ODD, depths_of, list_faults, mirror_boards
+from sabench.algorithms.calibration.fit_checks import ODD, depths_of, list_faults
 from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
@@ -143,8 +141,8 @@ _HELD = 0.1  # standard deviation of a depth that no image shows, part of it
 def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
     """Adjust cameras, boards and what they share, robustly.
 
-    If the end state is impossible (see `fit_checks.list_faults`), other starts are tried. If all of
-    them fail, the last one is returned: `problem.check_fit` refuses it.
+    An impossible state (see `fit_checks.list_faults`) is returned if all fits end in one:
+    `problem.check_fit` refuses it.
     """
     if not free.cameras:
         return _weigh(problem, adjust(problem.start, problem.seen, free, moving="boards"), free)
@@ -194,13 +192,10 @@ def make_prior(nominal: State, noise_px: float) -> SharedPrior:
 
 
 def _fit_soundly(problem: CalibrationProblem, views: BoardImages, free: FreeParameters) -> Robust:
-    """Fit from several starts, with more unknowns, or with a held depth, until it is possible."""
+    """Fit; where the end is impossible, with more unknowns, or with a held depth."""
     robust = adjust(problem.start, views, free)
     if _is_sound(robust, views, problem):
         return robust
-    ends = [adjust(start, views, free) for start in _other_starts(problem, robust.fit.state, views)]
-    if sound := [end for end in ends if _is_sound(end, views, problem)]:
-        return min(sound, key=lambda end: end.noise_px)
     rich = replace(free, distortion=_RICH, tilt=True, bend=True)
     if problem.frame.wall and np.isfinite(robust.noise_px) and free != rich and not views.anchors:
         # a bent board modelled as flat appears at another depth
@@ -208,9 +203,8 @@ def _fit_soundly(problem: CalibrationProblem, views: BoardImages, free: FreePara
         richer = _fit_soundly(problem, replace(views, prior=prior), rich)
         if richer.held is None:
             return replace(richer, held="richer model")
-    start = _staged(problem.start, views, free)
-    held = _hold_depth(problem.start, problem, views, robust.noise_px)
-    return replace(adjust(start, held, free), held="initial guess")
+    views = _hold_depth(problem, views, robust.noise_px)
+    return replace(adjust(problem.start, views, free), held="initial guess")
 
 
 def _is_sound(robust: Robust, views: BoardImages, problem: CalibrationProblem) -> bool:
@@ -218,30 +212,15 @@ def _is_sound(robust: Robust, views: BoardImages, problem: CalibrationProblem) -
     return np.isfinite(robust.fit.cost) and not faults
 
 
-def _other_starts(problem: CalibrationProblem, end: State, views: BoardImages) -> Iterator[State]:
-    """Yield the mirrored ends, and the start with boards placed before the cameras."""
-    if problem.frame.wall is not None and np.isfinite(end.board_positions).all():
-        yield mirror_boards(end, views, turned=False)
-        yield mirror_boards(end, views, turned=True)
-    yield _staged(problem.start, views, FreeParameters())
-
-
-def _staged(start: State, views: BoardImages, free: FreeParameters) -> State:
-    """Adjust boards, then cameras: slower than both together, and less prone to leap."""
-    placed = refine(start, views, free, moving="boards").state
-    return refine(placed, views, free, moving="cameras").state
-
-
-def _hold_depth(
-    start: State, problem: CalibrationProblem, views: BoardImages, noise_px: float
-) -> BoardImages:
-    """Anchor boards to their depths in a state, within a part of the mean.
+def _hold_depth(problem: CalibrationProblem, views: BoardImages, noise_px: float) -> BoardImages:
+    """Anchor boards to their nominal depths, within a part of the mean.
 
     Through a plane wall images hardly show the depth of all boards together: where noise would put
     boards into the wall, the nominal depth is nearer to the truth.
     """
     if problem.frame.wall is None or not np.isfinite(noise_px):
         return views
+    start = problem.start
     depths = depths_of(start, views)
     boards = np.flatnonzero(np.isfinite(depths).any(axis=1))
     sigma = _HELD * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(boards))
