@@ -173,16 +173,16 @@ def hide(pixels: F64, rng: np.random.Generator) -> F64:
     return pixels
 
 
-def particles(per_pixel: float, shift_px: float, cameras: int) -> Callable[[int], Shot]:
+def particles(per_pixel: float, cameras: int, **errors: float) -> Callable[[int], Shot]:
     """Make images of particles by cameras that are a few pixels off, behind glass."""
 
     def make(seed: int) -> Shot:
-        return simulate(_particle_scene(per_pixel, shift_px, cameras), seed=seed)
+        return simulate(_particle_scene(per_pixel, cameras, **errors), seed=seed)
 
     return make
 
 
-def _particle_scene(per_pixel: float, shift_px: float, cameras: int) -> Any:
+def _particle_scene(per_pixel: float, cameras: int, **errors: float) -> Any:
     values = load_scene("array-9").to_dict()
     values["cameras"] |= {"rows": 160, "columns": 160, "particle_sigma_px": 0.8}
     places = [(-150, -100), (150, -100), (-150, 100), (150, 100), (0, -100), (0, 100)]
@@ -193,7 +193,7 @@ def _particle_scene(per_pixel: float, shift_px: float, cameras: int) -> Any:
     values["volume"] |= {"size_mm": [8.0, 8.0, 4.0]}
     values["grid"]["crop_mm"] = [1.0, 1.0, 0.0]
     values["particles"] = {"generator": "uniform", "per_pixel": per_pixel, "diameter_mm": 0.02}
-    values["calibration"] = {"shift_px": shift_px}
+    values["calibration"] = errors
     layers = [{"index": 1.5, "thickness_mm": 5.0}]
     values["wall"] = {"fluid_index": 1.333, "point_mm": [0.0, 0.0, -30.0], "layers": layers}
     return parse_scene(values, "particles")
@@ -209,7 +209,7 @@ def self_calibrated(cameras: int, **parameters: float) -> Callable[[Shot], Figur
         except InputError:
             return {"f1": 0.0, "rms_px": _FAR_PX}
         truths = shot.particles.position_mm
-        true = build_rig(_particle_scene(0.01, 0.0, cameras)).cameras
+        true = build_rig(_particle_scene(0.01, cameras)).cameras
         exact = np.stack([camera.project(truths)[0] for camera in true])
         moved = fit_rigid_motion(truths, triangulate(answer.cameras, exact))(truths)
         again = np.stack([camera.project(moved)[0] for camera in answer.cameras])
@@ -348,9 +348,13 @@ CALIBRATION: dict[str, Case] = {
         solved_by("plane_parallax", 0.2, fit_rigid_motion),
     ),
     "planes": (board(**_TRAVERSED), solved_by("polynomial_planes", 0.2, fit_rigid_motion)),
-    "particles": (particles(0.012, 2.0, 6), self_calibrated(6)),
-    "particles, three cameras": (particles(0.015, 2.0, 3), self_calibrated(3)),
-    "particles, far off": (particles(0.015, 5.0, 4), self_calibrated(4, reach_px=8.0)),
+    "particles": (particles(0.025, 6, shift_px=2.0), self_calibrated(6)),
+    "particles, turned cameras": (
+        particles(0.025, 4, turn_deg=0.02),
+        self_calibrated(4, reach_px=8.0),
+    ),
+    "particles, three cameras": (particles(0.03, 3, shift_px=2.0), self_calibrated(3)),
+    "particles, far off": (particles(0.025, 4, shift_px=4.0), self_calibrated(4, reach_px=8.0)),
     "swapped cameras": (changed(board(), swap_cameras), refuses("camera_00", "camera_01")),
     "turned view": (changed(board(), turn_view), refuses("camera_02", "frame 1")),
     "turned frame": (changed(board(calibration=_start(0.02)), turn_frame), refuses("frame 1")),

@@ -19,9 +19,10 @@ there is one, the fit is repeated with Cauchy's loss, whose scale falls with the
 points are left out, and least squares follow, until the points that are used no longer change.
 
 Impossible ends (`fit_checks.list_faults`: a board in the wall, a negative focal length). Through a
-plane wall images hardly show the depth of all boards together. Without known positions the fit is
-repeated with lenses and boards that are less ideal; then with the depth held near the initial
-guess. The answer says so. A fit that stays impossible is refused by `problem.check_fit`.
+plane wall images hardly show the depth of all boards together. The fit is repeated from boards
+placed before the cameras; without known positions also with lenses and boards that are less ideal;
+then with the depth held near the initial guess. The answer says so. A fit that stays impossible is
+refused by `problem.check_fit`.
 
 `alternate` is the auto-calibration of J. Belden's thesis (MIT 2011, figure 4-1 and section 4.4.2):
 cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
@@ -50,7 +51,7 @@ from sabench.utils.arrays import F64, I64, Bool
 
 _ROUNDS = 10  # of weights, at most
 _SAME_NOISE = 0.1  # relative change of the noise below which weights stay
-CAUCHY = 2.4  # scale of Cauchy's loss over the noise: 95 % efficient for normal errors
+CAUCHY = 3.0  # scale of Cauchy's loss over the noise
 LEAST_NOISE_PX = 1e-3  # of any detection; weights of known positions are finite
 
 Held = Literal["richer model", "initial guess"]
@@ -196,6 +197,12 @@ def _fit_soundly(problem: CalibrationProblem, views: BoardImages, free: FreePara
     robust = adjust(problem.start, views, free)
     if _is_sound(robust, views, problem):
         return robust
+    # boards, then cameras: this finds mirrored images, which `problem.check_fit` names
+    placed = refine(problem.start, views, FreeParameters(), moving="boards").state
+    placed = refine(placed, views, FreeParameters(), moving="cameras").state
+    second = adjust(placed, views, free)
+    if _is_sound(second, views, problem):
+        return second
     rich = replace(free, distortion=_RICH, tilt=True, bend=True)
     if problem.frame.wall and np.isfinite(robust.noise_px) and free != rich and not views.anchors:
         # a bent board modelled as flat appears at another depth
