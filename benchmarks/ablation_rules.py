@@ -68,7 +68,6 @@ OFF = {
     "algorithms.calibration.problem._check_mirror": "return",
     "algorithms.calibration.problem._check_names": "return",
     "algorithms.calibration.problem._check_views": "return",
-    "algorithms.calibration.unknown_selection._TRIES": "10",
     "algorithms.calibration.unknown_selection._LEAST_GAIN": "0.0",
     "images.background.mark_edges": "return np.zeros(background.shape, dtype=np.bool_)",
     "images.background.find_glints": "return np.zeros(image.shape, dtype=np.bool_)",

@@ -28,8 +28,8 @@ _GROUPS: tuple[tuple[Unknown, ...], ...] = (
 _FIRST = {"k2": "k1", "k3": "k2"}  # what an unknown presupposes
 _FOLDS = 5
 _SURE = 2.0  # standard errors: least improvement of held-out boards
-_LEAST_GAIN = 0.001  # least gain of an unknown, part of the held-out error
-_TRIES = 3  # unknowns tried in a row without success before the search ends
+# least gain of an unknown, part of the held-out error: without it, a thickness that hardly shows
+_LEAST_GAIN = 0.001
 
 
 @dataclass(frozen=True)
@@ -97,15 +97,13 @@ def select_unknowns(case: CalibrationCase) -> tuple[tuple[Unknown, ...], tuple[N
     if losses is None:
         raise InputError("expected frames that hold-out fits can place, got none")
     rows = [Nested((), _px(losses), None, None, True)]
-    failed = 0
     possible = [group for group in _GROUPS if _can_free(group, problem)]
     left = possible.copy()
-    while failed < _TRIES and (group := held.most_promising(state, chosen, left)):
+    while group := held.most_promising(state, chosen, left):
         left.remove(group)
         names = (*chosen, *group)
         row, tried = held.compare(state, names, group, losses)
         rows.append(row)
-        failed = 0 if row.chosen else failed + 1
         if row.chosen and tried is not None:
             chosen, losses = names, tried
             state = held.full(state, chosen)
