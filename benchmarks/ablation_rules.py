@@ -59,7 +59,6 @@ OFF = {
     "algorithms.particles.obstacles.without_wrong_cameras": "return search",
     "algorithms.particles.candidate_search.wide_enough": "return images, sigma",
     "algorithms.particles.dense_start.are_mostly_wrong": "return False",
-    "algorithms.calibration.bundle_adjustment._EXACT": "0.0",
     "algorithms.calibration.disparity._by_parts": "return np.ones((1, 1)), whole[None]",
     "algorithms.calibration.factorisation._FOCAL": "0.0",
     "algorithms.calibration.joint_fit._ROUNDS": "1",

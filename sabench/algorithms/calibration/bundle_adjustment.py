@@ -47,7 +47,6 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
 
 _STEPS = 200
 _HARDLY = 1e-9  # relative decrease of the cost, and damping, that change nothing
-_EXACT = 1e-18  # square pixels per observation: nothing is left to gain below
 
 
 Moving = Literal["all", "cameras", "boards"]
@@ -220,10 +219,9 @@ def refine(
     a shift along it and a rotation about its normal.
     """
     here, damping = normal_equations(state, views, free, scale), 1e-3
-    enough = _EXACT * max(1.0, float(views.weights.sum()))
     for step in range(_STEPS):
-        if not math.isfinite(here.cost) or here.cost <= enough:
-            return Fit(state, here.cost, step, math.isfinite(here.cost))
+        if not math.isfinite(here.cost):
+            return Fit(state, here.cost, step, False)
         while damping < 1e12:
             cameras, boards, promise = _step(here, damping, moving)
             if promise <= _HARDLY * here.cost:
