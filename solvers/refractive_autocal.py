@@ -14,9 +14,9 @@ from sabench.algorithms.calibration import (
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
 
 REMARKS = {
-    "richer model": "With these unknowns, the images would put boards into the wall, so their "
-    "depth was held near that of a fit with k1, k2, p1, p2, tilt and bend, too: take them as "
-    "unknowns, or measure the distance of one point of the target from the wall.",
+    "richer model": "With these unknowns, the images would put boards into the wall, so k1, k2, "
+    "p1, p2, tilt and bend were fitted, too: take them as unknowns, or measure the distance of one "
+    "point of the target from the wall.",
     "initial guess": "The images would put boards into the wall, so their depth was held near the "
     "initial guess: measure the distance of one point of the target from the wall.",
 }

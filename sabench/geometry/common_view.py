@@ -11,12 +11,12 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.polynomial_cameras import fitted_box
 from sabench.geometry.refraction import Rays
-from sabench.geometry.triangulation import intersect
+from sabench.geometry.triangulation import DELTA_MM, intersect
 from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 
+FLATTEST_DEGREES = 15.0  # least angle between a line of sight and a plane that is looked at
 _NODES = 49  # of the lattice along each axis; an odd number has a middle
-_DELTA_MM = 1e-3  # step for a projection's slope
 _MOST_VOXELS = 1_000_000  # along an axis
 
 
@@ -31,12 +31,12 @@ def pixel_size_mm(cameras: Sequence[CameraModel], point_mm: F64) -> float:
     InputError
         No camera has a pixel of the point.
     """
-    around = point_mm + np.concatenate([np.eye(3), -np.eye(3)]) * _DELTA_MM
+    around = point_mm + np.concatenate([np.eye(3), -np.eye(3)]) * DELTA_MM
     sizes = []
     for camera in cameras:
         pixels, valid = camera.project(around)
         if valid.all():
-            slope = (pixels[:3] - pixels[3:]).T / (2.0 * _DELTA_MM)
+            slope = (pixels[:3] - pixels[3:]).T / (2.0 * DELTA_MM)
             sizes.append(1.0 / np.sqrt(np.linalg.svd(slope, compute_uv=False).prod()))
     if not sizes:
         raise InputError(f"volume: expected a middle that a camera sees, got {_words(point_mm)} mm")

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from sabench.geometry.refraction import NEWTON
 from sabench.utils.compiled import numba
 
-_STEPS = 80
-_SMALLEST = 1e-4  # share of a step below which shorter ones are no longer tried
 _LONGEST = 0.3  # rad: of one step
 _MISS = 1e-12  # of the distance from the pinhole: largest miss of a path that counts as found
 
@@ -214,7 +213,7 @@ def _solve(
     trial[0], trial[1], trial[2] = point[0] + gap, point[1], point[2]
     far = _normalise(trial)
     best, area, share = math.inf, 0.0, 1.0
-    for _ in range(_STEPS):
+    for _ in range(NEWTON):
         miss, covered = _aim(gap, faces, indices, trial, point, rays, steps)
         if miss < best:
             best, area, share = miss, covered, 1.0
@@ -226,8 +225,6 @@ def _solve(
             break  # rounding alone is left
         else:
             share *= 0.5
-            if share < _SMALLEST:
-                break
         if math.isinf(best):  # the straight line is no path: start anew, straight at the axis
             trial[0], trial[1], trial[2] = 1.0, 0.0, 0.0
             continue

@@ -16,7 +16,7 @@ import numpy as np
 
 from sabench.utils.arrays import F64, Bool
 
-_STEPS = 20  # of the inversion
+NEWTON = 30  # most steps of an iteration; few are enough where it converges
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
         return distorted, np.asarray(np.isfinite(distorted).all(axis=1))
     ideal, residual = distorted.copy(), np.zeros_like(distorted)
     with np.errstate(all="ignore"):
-        for _ in range(_STEPS):
+        for _ in range(NEWTON):
             image, _, (ux, uy, vy) = distort(lens, ideal)
             residual = distorted - image
             if np.all(np.abs(residual) < 1e-15):

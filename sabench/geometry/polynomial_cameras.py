@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera_model import SensorCamera
-from sabench.geometry.central_camera import solve_pairs
+from sabench.geometry.central_camera import invert_lens
+from sabench.geometry.plane_polynomials import terms
 from sabench.geometry.refraction import Rays
 from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
 
-_STEPS = 30
 _SOLOFF = tuple((i, j, k) for k in range(3) for j in range(4) for i in range(4) if i + j + k <= 3)
-_QUADRATIC = ((0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (0, 2))
 
 
 @dataclass(frozen=True)
@@ -77,25 +76,17 @@ class _Fitted(SensorCamera):
         return Rays(near, direction / np.where(valid[:, None], length, 1.0), valid)
 
     def _on_plane(self, pixels: F64, z_mm: float, start: F64) -> F64:
-        """Find points (n, 3) of a plane by Newton's iteration from their pixels.
+        """Find points (n, 3) of a plane from their pixels and a guess of x, y (n, 2).
 
-        The iteration starts from x, y (n, 2). Returns NaN where it does not converge.
+        NaN where Newton's iteration does not converge.
         """
-        points = np.column_stack([start, np.full(len(pixels), z_mm)])
-        delta = 1e-4 * min(self.half_mm[:2])
-        with np.errstate(all="ignore"):
-            for _ in range(_STEPS):
-                miss = pixels - self.project(points)[0]
-                if np.nanmax(np.abs(miss), initial=0.0) < 1e-10:
-                    break
-                a, b = (
-                    (self.project(points + step)[0] - self.project(points - step)[0])
-                    / (2.0 * delta)
-                    for step in delta * np.eye(3)[:2]
-                )
-                points[:, :2] += solve_pairs(a, b, miss)
-            points[~(np.abs(pixels - self.project(points)[0]).max(axis=1) < 1e-6)] = np.nan
-        return points
+        deep = np.broadcast_to(z_mm, (len(pixels), 1))
+
+        def pixels_of(plane_mm: F64) -> F64:
+            return self.project(np.hstack([plane_mm, deep]))[0]
+
+        found = invert_lens(pixels_of, pixels, start, min(self.half_mm[:2]))
+        return np.hstack([found, np.where(np.isfinite(found[:, :1]), deep, np.nan)])
 
 
 @dataclass(frozen=True)
@@ -153,11 +144,11 @@ class PlanePolynomials(_Fitted):
         """
         points = rows_of(points_mm, 3, "points_mm")
         planes = np.asarray(self.planes_mm)
-        table = np.asarray(self.coefficients).reshape(len(planes), 2, len(_QUADRATIC))
+        table = np.asarray(self.coefficients).reshape(len(planes), 2, -1)
         left = np.clip(np.searchsorted(planes, points[:, 2]) - 1, 0, len(planes) - 2)
         share = (points[:, 2] - planes[left]) / (planes[left + 1] - planes[left])
-        terms = _quadratic(((points - self.middle_mm) / self.half_mm)[:, :2])
-        before, behind = (np.einsum("nt,nct->nc", terms, table[p]) for p in (left, left + 1))
+        powers = terms(((points - self.middle_mm) / self.half_mm)[:, :2], 2)
+        before, behind = (np.einsum("nt,nct->nc", powers, table[p]) for p in (left, left + 1))
         pixels = before + share[:, None] * (behind - before)
         return pixels, np.isfinite(pixels).all(axis=1)
 
@@ -197,9 +188,9 @@ def fit_planes(
     order = np.argsort(depths)
     table = []
     for plane in order.tolist():
-        terms = _quadratic(((points_mm[plane] - middle) / half)[:, :2])
+        powers = terms(((points_mm[plane] - middle) / half)[:, :2], 2)
         what = f"{name}: frame {plane}: a polynomial of 6 terms"
-        table.append(_fit_terms(terms, pixels[plane], what).T.ravel())
+        table.append(_fit_terms(powers, pixels[plane], what).T.ravel())
     box, planes = (triple(middle), triple(half)), tuple(depths[order].tolist())
     return PlanePolynomials(name, rows, columns, *box, planes, nested(np.stack(table)))
 
@@ -209,17 +200,12 @@ def _cubic(unit: F64) -> F64:
     return np.stack([x**i * y**j * z**k for i, j, k in _SOLOFF], axis=1)
 
 
-def _quadratic(unit: F64) -> F64:
-    x, y = unit.T
-    return np.stack([x**i * y**j for i, j in _QUADRATIC], axis=1)
-
-
-def _fit_terms(terms: F64, pixels: F64, what: str) -> F64:
-    solution, _, rank, _ = np.linalg.lstsq(terms, pixels, rcond=None)
-    if rank < terms.shape[1]:
+def _fit_terms(powers: F64, pixels: F64, what: str) -> F64:
+    solution, _, rank, _ = np.linalg.lstsq(powers, pixels, rcond=None)
+    if rank < powers.shape[1]:
         raise InputError(
-            f"{what}: expected points that determine it, got {len(terms)} that leave "
-            f"{terms.shape[1] - rank} terms open"
+            f"{what}: expected points that determine it, got {len(powers)} that leave "
+            f"{powers.shape[1] - rank} terms open"
         )
     return np.asarray(solution)
 

@@ -17,16 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from sabench.geometry.refraction import Wall
+from sabench.geometry.refraction import HALLEY, NEWTON, Wall
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 
 _BLOCK = 256
-_HALLEY, _NEWTON = 6, 100
 # relative change after which Halley's next would be below rounding; Newton's is asked for the
 # square root of rounding
-_SMALL = 1e-5
-_SMALLER = 1e-8
+_SMALL, _SMALLER = np.cbrt(np.finfo(float).eps), np.sqrt(np.finfo(float).eps)
 
 Media = tuple[float, tuple[tuple[float, float], ...], float, float, float]
 
@@ -75,7 +73,7 @@ def _step(
 def _climb(
     slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float
 ) -> None:
-    for _ in range(_NEWTON):
+    for _ in range(NEWTON):
         moving = 0
         for i in range(size):
             q = slope[i]
@@ -152,7 +150,7 @@ def project(
             square[i] = a * a + b * b
         _paraxial(deep, size, rare, others, fluid, slope)
         moving = 1
-        for _ in range(_HALLEY):
+        for _ in range(HALLEY):
             moving = _step(slope, square, deep, size, rare, others, fluid)
             if moving == 0:
                 break

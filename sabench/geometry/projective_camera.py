@@ -6,11 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera_model import SensorCamera
+from sabench.geometry.lens import NEWTON
 from sabench.geometry.refraction import Rays
 from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
-
-_STEPS = 30
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ def _least_squares(start: F64, full: F64, images: F64) -> F64:
     The pseudo-inverse leaves the matrix's scale unchanged.
     """
     entries = start / np.linalg.norm(start)
-    for _ in range(_STEPS):
+    for _ in range(NEWTON):
         u, v, w = (full @ entries.reshape(3, 4).T).T
         miss = (images - np.column_stack([u, v]) / w[:, None]).T.ravel()
         part, zero = full / w[:, None], np.zeros_like(full)

@@ -22,7 +22,7 @@ import numpy as np
 
 from sabench.utils.arrays import F64, Bool, all_in_row
 
-_HALLEY, _MAX_STEPS = 4, 100
+HALLEY, NEWTON = 6, 100  # most steps; grazing rays in thin rare layers take dozens of Newton's
 
 
 def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
@@ -51,7 +51,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F
     slowness = sum(depth / r for depth, r in zip(depths_mm, relative, strict=True))
     slope = low = radius_mm / np.asarray(slowness)  # paraxial root
     value, gradient = _lateral(relative, depths_mm, slope)
-    for _ in range(_MAX_STEPS):
+    for _ in range(NEWTON):
         low = np.where(value <= radius_mm, np.maximum(low, slope), low)
         upper = np.where(value >= radius_mm, np.minimum(upper, slope), upper)
         step = slope + (radius_mm - value) / gradient
@@ -72,7 +72,7 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64 
     Each step triples the right digits. Returns None where one path has not converged.
     """
     slope = _start(relative, depths_mm, radius_mm)
-    for _ in range(_HALLEY):
+    for _ in range(HALLEY):
         value, gradient, curvature = _lateral_distance(relative, depths_mm, slope)
         miss = radius_mm - value
         step = 2.0 * miss * gradient / (2.0 * gradient * gradient - 3.0 * miss * curvature * slope)

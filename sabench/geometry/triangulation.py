@@ -8,7 +8,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.utils.arrays import F64
 
 _STEPS = 5
-_DELTA_MM = 1e-3  # step for a projection's slope
+DELTA_MM = 1e-3  # step for a projection's slope
 
 
 def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:
@@ -55,9 +55,9 @@ def _step(cameras: Sequence[CameraModel], pixels: F64, points: F64) -> F64:
     matrix, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     for camera, camera_pixels in zip(cameras, pixels, strict=True):
         here, valid = camera.project(points)
-        ends = ((points + axis, points - axis) for axis in _DELTA_MM * np.eye(3))
+        ends = ((points + axis, points - axis) for axis in DELTA_MM * np.eye(3))
         moves = [camera.project(end)[0] - camera.project(start)[0] for end, start in ends]
-        slope = np.stack([move / (2.0 * _DELTA_MM) for move in moves], -1)
+        slope = np.stack([move / (2.0 * DELTA_MM) for move in moves], -1)
         good = valid & np.isfinite(camera_pixels).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
         matrix[good] += np.einsum("nki,nkj->nij", slope[good], slope[good])
         right[good] += np.einsum("nki,nk->ni", slope[good], camera_pixels[good] - here[good])

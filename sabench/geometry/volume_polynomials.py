@@ -11,13 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.plane_polynomials import TOLERANCE_PX
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
 
-_TOLERANCE_PX = 1e-3
 _HIGHEST = 9
-_NODES = 11  # of the fit along each axis
 _FEW = 10_000  # points: fewer are projected before threads have begun
 
 
@@ -54,14 +53,15 @@ def fit_volume_polynomials(
         A part of the box has no light path to a camera, or no degree is enough.
     """
     middle, half = (low_mm + high_mm) / 2.0, (high_mm - low_mm) / 2.0
-    axis = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
+    nodes = _HIGHEST + 2
+    axis = np.cos(np.pi * (np.arange(nodes) + 0.5) / nodes)
     unit = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     pixels = _project_exactly(cameras, middle + half * unit)
     for degree in range(3, _HIGHEST + 1):
         powers = _powers(degree)
         terms = np.prod(unit[:, None] ** powers, axis=2)
         solution = np.linalg.lstsq(terms, pixels, rcond=None)[0]
-        if np.abs(terms @ solution - pixels).max() < _TOLERANCE_PX:
+        if np.abs(terms @ solution - pixels).max() < TOLERANCE_PX:
             by_camera = solution.reshape(len(powers), len(cameras), 2).transpose(1, 0, 2)
             coefficients = np.ascontiguousarray(by_camera, dtype=np.float64)
             return VolumePolynomials(coefficients, powers.astype(np.int64), middle, half)

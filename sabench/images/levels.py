@@ -21,8 +21,8 @@ _CLIPPED = 5.0  # times as many pixels near the highest value as just below: sat
 _FEWEST = 20  # pixels that saturate
 
 # Bright particles:
-_BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
-_ILLUMINATED = 0.1  # of the brightest pixel
+BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
+ILLUMINATED = 0.1  # of the brightest pixel
 _PEAKS = 4.0  # typical peaks that the brightest pixel counts at most
 
 
@@ -135,11 +135,11 @@ def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
     counts = np.bincount(pixels, minlength=1)
     levels = np.maximum(np.arange(len(counts)) - black_dn, 0.0)
     brightest = min(levels[-1], _PEAKS * peak) if peak else levels[-1]
-    counts[levels <= _ILLUMINATED * brightest] = 0
+    counts[levels <= ILLUMINATED * brightest] = 0
     up_to = np.cumsum(counts)
     if up_to[-1] == 0:
         return 0.0
-    rank = _BRIGHT / 100.0 * (up_to[-1] - 1)
+    rank = BRIGHT / 100.0 * (up_to[-1] - 1)
     low, high = (
         levels[np.searchsorted(up_to, math.floor(rank) + step, side="right")]
         for step in (0, min(1, math.ceil(rank) - math.floor(rank)))

@@ -12,9 +12,9 @@ from sabench.algorithms.calibration.kernels import BOARD, CAMERA
 from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.utils.arrays import F64
 
-# of a camera's unknowns as in `kernels.observe`: far above rounding, far below any curvature
+# of a camera's unknowns as in `kernels.observe`, whose first are like a board's: far above
+# rounding, far below any curvature
 _STEPS = np.array([1e-5] * 3 + [1e-2] * 3 + [1.0] * 3 + [1e-3] * (CAMERA - 9))
-_BOARD_STEPS = np.array([1e-5] * 3 + [1e-2] * 3)
 
 Equations = tuple[float, F64, F64, F64, F64, F64]
 Seen = tuple[F64, F64]  # pixels (M, K, m, 2) and weights (M, K, m)
@@ -91,7 +91,7 @@ def _slopes(frame: WallFrame, state: State, board: F64, free: FreeParameters) ->
     """Differentiate pixels (M, K, m, 2) by unknowns (f + BOARD)."""
     columns, none = [], np.zeros(0)
     camera_columns, _ = free.columns(len(state.indices))
-    for number, step in enumerate(np.append(_STEPS[camera_columns], _BOARD_STEPS).tolist()):
+    for number, step in enumerate(np.append(_STEPS[camera_columns], _STEPS[:BOARD]).tolist()):
         cameras = np.zeros((len(state.rotations), len(camera_columns)))
         boards = np.zeros((len(state.board_rotations), BOARD))
         if number < len(camera_columns):

@@ -46,9 +46,7 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
 
 
 _STEPS = 200
-_GAIN = 1e-9  # a step with a smaller predicted relative decrease of the cost is the last
-_HARDLY = 1e-9  # damping that changes no step of what the images determine
-_EXACT = 1e-18  # square pixels per observation: nothing is left to gain below
+_HARDLY = 1e-9  # relative decrease of the cost, and damping, that change nothing
 
 
 Moving = Literal["all", "cameras", "boards"]
@@ -221,13 +219,12 @@ def refine(
     a shift along it and a rotation about its normal.
     """
     here, damping = normal_equations(state, views, free, scale), 1e-3
-    enough = _EXACT * max(1.0, float(views.weights.sum()))
     for step in range(_STEPS):
-        if not math.isfinite(here.cost) or here.cost <= enough:
-            return Fit(state, here.cost, step, math.isfinite(here.cost))
+        if not math.isfinite(here.cost):
+            return Fit(state, here.cost, step, False)
         while damping < 1e12:
             cameras, boards, promise = _step(here, damping, moving)
-            if promise <= _GAIN * here.cost:
+            if promise <= _HARDLY * here.cost:
                 return Fit(state, here.cost, step, True)
             steps = parameters.steps_of(cameras, len(state.rotations), free, len(state.indices))
             tried = state.apply_steps(*steps, boards, free)

@@ -26,7 +26,7 @@ _CELL_PX = 1.0  # edge of the cells that count sets
 _SPOT_PX = 0.6  # radius of what belongs together
 _AROUND_PX = 1.5  # as far as a search for the middle of a spot goes
 _TRIED, _SHIFTS = 20, 10
-_SETS = 1_000_000
+SETS = 1_000_000
 _STEP_PX = 1.5  # between positions on a line of sight, as the other cameras see them
 _PARTS = 3  # of the box along x and along y, each with a disparity of its own
 _FEW = 100  # sets below which a part has none
@@ -54,8 +54,8 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
     right and wrong sets.
     """
     along, steps = follow_lines(maps, range(len(peaks)), _STEP_PX)
-    positions, errors = np.empty((_SETS, 3)), np.empty((_SETS, len(peaks), 2))
-    hits = np.empty((_SETS, len(peaks)), dtype=np.int32)
+    positions, errors = np.empty((SETS, 3)), np.empty((SETS, len(peaks), 2))
+    hits = np.empty((SETS, len(peaks)), dtype=np.int32)
     order = np.random.default_rng(0).permutation(len(peaks[0].pixels))
     count = match_peaks(maps, peaks, order, reach_px, along, steps, positions, hits, errors)
     return Sets(positions[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())

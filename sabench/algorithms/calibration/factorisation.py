@@ -16,9 +16,7 @@ from sabench.utils.errors import InputError
 
 _ROUNDS = 50
 _STEPS = 100
-_NOTHING = 1e-24
 _FOCAL = 0.01  # weight of focal lengths against principal points and square pixels
-_SETTLED = 1e-10  # relative change of the depths in the last round
 
 
 @dataclass(frozen=True)
@@ -54,10 +52,7 @@ def factorise(images: F64, seen: Bool) -> Factors:
         new = product[..., 2]
         image = product / np.where(np.abs(new) > 1e-12, new, 1.0)[..., None]
         homogeneous = np.where(seen[..., None], homogeneous, image)
-        done = np.abs(new - depths).max() < _SETTLED * np.abs(depths).max()
         depths = new
-        if done:
-            break
     return Factors(np.asarray(scaled.reshape(cameras, 3, 4)), np.asarray(right[:4].T))
 
 
@@ -82,7 +77,7 @@ def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
             matrices = changed / np.linalg.norm(changed, axis=(1, 2), keepdims=True)
             points, cost = moved, new
         damping *= 0.1 if better else 10.0
-        if (better and gain < 1e-10 * cost) or cost < _NOTHING or damping > 1e9:
+        if (better and gain < 1e-10 * cost) or damping > 1e9:
             break
     return Factors(matrices, np.column_stack([points, np.ones(len(points))]))
 

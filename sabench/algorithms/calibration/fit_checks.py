@@ -4,7 +4,7 @@ Noise of detection differs from point to point; errors of a model change slowly 
 that those of neighbours are correlated.
 """
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,11 +12,14 @@ from scipy.spatial import cKDTree
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.parameters import State, WallFrame
 from sabench.geometry.refraction import Wall
+from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 
 _LEAST_INDEX = 0.99  # of any medium
-_MIRROR = np.diag([1.0, 1.0, -1.0])
+FLAT = 1e-3  # width over length of what counts as a line, thickness over width of a plane
+# standard deviations of a coordinate that misses of right points exceed at the rate of false alarms
+ODD = np.sqrt(-2.0 * np.log(FALSE_ALARMS))
 
 
 def list_faults(state: State, views: BoardImages, frame: WallFrame) -> list[str]:
@@ -86,24 +89,6 @@ def depths_of(state: State, views: BoardImages) -> F64:
     """Compute depths (K, m) of seen points behind the wall's inner face, mm."""
     depths = state.points(views.board)[..., 2] - state.thicknesses.sum()
     return np.where(views.weights.sum(axis=0) > 0.0, depths, np.nan)
-
-
-def mirror_boards(state: State, views: BoardImages, *, turned: bool) -> State:
-    """Mirror boards that are in front of the wall's inner face at that face.
-
-    Parameters
-    ----------
-    turned : whether the tilt of a board is mirrored, too. The mirror image of a flat board is the
-        board at another rotation.
-    """
-    face = state.thicknesses.sum()
-    with np.errstate(invalid="ignore"):
-        out = np.nanmin(depths_of(state, views), axis=1, initial=np.inf) <= 0.0
-    positions, rotations = state.board_positions.copy(), state.board_rotations.copy()
-    positions[out, 2] = face + np.abs(positions[out, 2] - face)
-    if turned:
-        rotations[out] = _MIRROR @ rotations[out] @ _MIRROR
-    return replace(state, board_rotations=rotations, board_positions=positions)
 
 
 _NEAREST = 3  # neighbours of a point: along rows and columns of a grid

@@ -14,22 +14,20 @@ that of the median miss, and the second part is repeated while it changes by mor
 Where known points fix every board, the cameras are fitted to these first; where a case knows its
 cameras, only the boards are fitted.
 
-Outliers. If a miss exceeds six times the noise, the fit is repeated with Cauchy's loss, whose scale
-falls with the misses; then points beyond four times the noise are left out, and least squares
-follow, until the points that are used no longer change.
+Outliers. A miss that right points exceed once in 100,000 times is odd (4.8 times the noise). If
+there is one, the fit is repeated with Cauchy's loss, whose scale falls with the misses; then odd
+points are left out, and least squares follow, until the points that are used no longer change.
 
 Impossible ends (`fit_checks.list_faults`: a board in the wall, a negative focal length). Through a
-plane wall images hardly show the depth of all boards together. The fit is tried from mirrored
-boards, and from boards placed before the cameras; then with more unknowns; and last with the depth
-held near that of such a fit, or of the initial guess, which the answer says. A fit that stays
-impossible is refused by `input_checks.check_fit`.
+plane wall images hardly show the depth of all boards together. The fit is repeated from boards
+placed before the cameras; without known positions also with lenses and boards that are less ideal;
+then with the depth held near the initial guess. The answer says so. A fit that stays impossible is
+refused by `problem.check_fit`.
 
 `alternate` is the auto-calibration of J. Belden's thesis (MIT 2011, figure 4-1 and section 4.4.2):
 cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
 """
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -44,18 +42,17 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     refine,
     residuals,
 )
-from sabench.algorithms.calibration.fit_checks import depths_of, list_faults, mirror_boards
+from sabench.algorithms.calibration.fit_checks import ODD, depths_of, list_faults
 from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.utils.arrays import F64, I64, Bool
 
-_NOTHING_ODD = 6.0  # standard deviations: of normal errors, 3e-8 exceed it
-_REJECT = 4.0  # standard deviations beyond which a point counts as an outlier
-_REWEIGHTINGS = 10
-_RAYLEIGH_MEDIAN = 1.17741  # median length of a pair of standard normal numbers
-_CAUCHY = 2.4  # scale of Cauchy's loss, standard deviations
+_ROUNDS = 10  # of weights, at most
+_SAME_NOISE = 0.1  # relative change of the noise below which weights stay
+CAUCHY = 3.0  # scale of Cauchy's loss over the noise
+LEAST_NOISE_PX = 1e-3  # of any detection; weights of known positions are finite
 
 Held = Literal["richer model", "initial guess"]
 
@@ -64,7 +61,7 @@ Held = Literal["richer model", "initial guess"]
 class Robust:
     """Fit, used observations (camera, board, point), noise of a coordinate in px.
 
-    `held` names the source of the boards' depth if it had to be held.
+    `held` names what determines the boards' depth if the unknowns alone put boards into the wall.
     """
 
     fit: Fit
@@ -94,13 +91,13 @@ def adjust(
     start = np.asarray(seen.weights > 0.0)
     fit, used = refine(state, seen, free, moving=moving), start
     noise = noise_px or median_noise(_lengths(fit.state, seen)[used])
-    if _lengths(fit.state, seen)[used].max(initial=0.0) <= _NOTHING_ODD * max(noise, 1e-9):
+    if _lengths(fit.state, seen)[used].max(initial=0.0) <= ODD * noise:
         return Robust(fit, used, noise)
     fit = _fit_cauchy(fit.state, seen, free, moving)
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(_ROUNDS):
         lengths = _lengths(fit.state, seen)
         noise = median_noise(lengths[used])
-        accepted = start & (lengths <= _REJECT * max(noise, 1e-9))
+        accepted = start & (lengths <= ODD * noise)
         if np.array_equal(accepted, used):
             break
         used = accepted
@@ -113,9 +110,9 @@ def _fit_cauchy(state: State, views: BoardImages, free: FreeParameters, moving: 
     """Fit with Cauchy's loss; its scale falls with the errors."""
     used = np.asarray(views.weights > 0.0)
     scale = np.inf
-    for _ in range(_REWEIGHTINGS):
-        smaller = _CAUCHY * max(median_noise(_lengths(state, views)[used]), 1e-6)
-        if smaller > 0.9 * scale:
+    for _ in range(_ROUNDS):
+        smaller = CAUCHY * median_noise(_lengths(state, views)[used])
+        if smaller > (1.0 - _SAME_NOISE) * scale:
             break
         scale = smaller
         fit = refine(state, views, free, scale, moving=moving)
@@ -130,26 +127,23 @@ def _lengths(state: State, views: BoardImages) -> F64:
 
 
 def median_noise(lengths: F64) -> float:
-    """Compute the standard deviation of coordinates from pairs' median length."""
-    return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
+    """Compute the standard deviation of coordinates from their pairs' median length."""
+    return max(float(np.median(lengths) / np.sqrt(np.log(4.0))), LEAST_NOISE_PX)
 
 
-_LEAST_NOISE_PX = 1e-3  # least noise for the weights of known positions
-_ROUNDS = 3  # of weighing what is known against the noise, where it changes much
-_SAME_NOISE = 0.1  # relative change of the noise below which weights stay
 THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
 INDEX_SIGMA = 0.05  # of a nominal index
 _WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
 _BEND_MM = 1.0  # of a board that is nominally flat
 _RICH = ("k1", "k2", "p1", "p2")  # tried, with tilts and bend, where unknowns lack
-_HELD = (0.5, 0.1, 0.02)  # standard deviations of a depth that no image shows, parts of it
+_HELD = 0.1  # standard deviation of a depth that no image shows, part of it
 
 
 def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
     """Adjust cameras, boards and what they share, robustly.
 
-    If the end state is impossible (see `fit_checks.list_faults`), other starts are tried. If all of
-    them fail, the last one is returned: `input_checks.check_fit` refuses it.
+    An impossible state (see `fit_checks.list_faults`) is returned if all fits end in one:
+    `problem.check_fit` refuses it.
     """
     if not free.cameras:
         return _weigh(problem, adjust(problem.start, problem.seen, free, moving="boards"), free)
@@ -157,7 +151,7 @@ def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
         fit = refine(problem.start, problem.seen, free.of_lenses, moving="cameras")
         used = np.asarray(problem.seen.weights > 0.0)
         lengths = np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[used]
-        placed = Robust(fit, used, max(median_noise(lengths), _LEAST_NOISE_PX))
+        placed = Robust(fit, used, median_noise(lengths))
         return _weigh(replace(problem, start=fit.state), placed, free)
     robust = _fit_soundly(problem, problem.seen, free.of_lenses)
     if free == free.of_lenses and not make_anchors(problem.case, problem.frame, 1.0):
@@ -176,12 +170,13 @@ def fixes_world(problem: CalibrationProblem) -> bool:
 def _weigh(problem: CalibrationProblem, robust: Robust, free: FreeParameters) -> Robust:
     """Fit with the known places and nominal values, weighed against the noise."""
     for _ in range(_ROUNDS):
-        noise = max(robust.noise_px, _LEAST_NOISE_PX)
+        noise = robust.noise_px
         anchors = make_anchors(problem.case, problem.frame, noise)
         prior = make_prior(problem.start, noise)
         views = replace(problem.seen, anchors=anchors, prior=prior)
-        robust = adjust(problem.align_to_nominal(robust.fit.state), views, free)
-        if not _is_sound(robust, views, problem):
+        if robust.held is None:
+            robust = adjust(problem.align_to_nominal(robust.fit.state), views, free)
+        if robust.held or not _is_sound(robust, views, problem):
             robust = _fit_soundly(problem, views, free)
         if free == free.of_lenses or abs(robust.noise_px - noise) <= _SAME_NOISE * noise:
             break
@@ -198,35 +193,25 @@ def make_prior(nominal: State, noise_px: float) -> SharedPrior:
 
 
 def _fit_soundly(problem: CalibrationProblem, views: BoardImages, free: FreeParameters) -> Robust:
-    """Fit from the start, and from other states until the end is possible."""
+    """Fit; where the end is impossible, with more unknowns, or with a held depth."""
     robust = adjust(problem.start, views, free)
     if _is_sound(robust, views, problem):
         return robust
-    ends = [adjust(start, views, free) for start in _other_starts(problem, robust.fit.state, views)]
-    if sound := [end for end in ends if _is_sound(end, views, problem)]:
-        return min(sound, key=lambda end: end.noise_px)
-    start, deep = _staged(problem.start, views, free), _fit_richly(problem, views, free, robust)
-    for part in _HELD:
-        held = _hold_depth(deep or problem.start, problem, views, robust.noise_px, part)
-        robust = adjust(start, held, free)
-        if _is_sound(robust, views, problem):
-            break
-    return replace(robust, held="richer model" if deep else "initial guess")
-
-
-def _fit_richly(
-    problem: CalibrationProblem, views: BoardImages, free: FreeParameters, robust: Robust
-) -> State | None:
-    """Fit with more unknowns; None if the end state is impossible, too."""
-    # a bent board modelled as flat appears at another depth
-    if problem.frame.wall is None or not np.isfinite(robust.noise_px):
-        return None
+    # boards, then cameras: this finds mirrored images, which `problem.check_fit` names
+    placed = refine(problem.start, views, FreeParameters(), moving="boards").state
+    placed = refine(placed, views, FreeParameters(), moving="cameras").state
+    second = adjust(placed, views, free)
+    if _is_sound(second, views, problem):
+        return second
     rich = replace(free, distortion=_RICH, tilt=True, bend=True)
-    views = replace(views, prior=make_prior(problem.start, max(robust.noise_px, _LEAST_NOISE_PX)))
-    first = adjust(problem.start, views, rich)
-    later = (adjust(start, views, rich) for start in _other_starts(problem, first.fit.state, views))
-    ends = itertools.chain([first], later)
-    return next((end.fit.state for end in ends if _is_sound(end, views, problem)), None)
+    if problem.frame.wall and np.isfinite(robust.noise_px) and free != rich and not views.anchors:
+        # a bent board modelled as flat appears at another depth
+        prior = make_prior(problem.start, robust.noise_px)
+        richer = _fit_soundly(problem, replace(views, prior=prior), rich)
+        if richer.held is None:
+            return replace(richer, held="richer model")
+    views = _hold_depth(problem, views, robust.noise_px)
+    return replace(adjust(problem.start, views, free), held="initial guess")
 
 
 def _is_sound(robust: Robust, views: BoardImages, problem: CalibrationProblem) -> bool:
@@ -234,35 +219,19 @@ def _is_sound(robust: Robust, views: BoardImages, problem: CalibrationProblem) -
     return np.isfinite(robust.fit.cost) and not faults
 
 
-def _other_starts(problem: CalibrationProblem, end: State, views: BoardImages) -> Iterator[State]:
-    """Yield the mirrored ends, and the start with boards placed before the cameras."""
-    if problem.frame.wall is not None and np.isfinite(end.board_positions).all():
-        yield mirror_boards(end, views, turned=False)
-        yield mirror_boards(end, views, turned=True)
-    yield _staged(problem.start, views, FreeParameters())
+def _hold_depth(problem: CalibrationProblem, views: BoardImages, noise_px: float) -> BoardImages:
+    """Anchor boards to their nominal depths, within a part of the mean.
 
-
-def _staged(start: State, views: BoardImages, free: FreeParameters) -> State:
-    """Adjust boards, then cameras: slower than both together, and less prone to leap."""
-    placed = refine(start, views, free, moving="boards").state
-    return refine(placed, views, free, moving="cameras").state
-
-
-def _hold_depth(
-    start: State, problem: CalibrationProblem, views: BoardImages, noise_px: float, part: float
-) -> BoardImages:
-    """Anchor boards to their depths in a state, within a part of the mean.
-
-    Through a plane wall images hardly show the depth of all boards together: where noise, or a
-    flaw of the model, would put boards into the wall, a richer model or the nominal depth is nearer
-    to the truth.
+    Through a plane wall images hardly show the depth of all boards together: where noise would put
+    boards into the wall, the nominal depth is nearer to the truth.
     """
     if problem.frame.wall is None or not np.isfinite(noise_px):
         return views
+    start = problem.start
     depths = depths_of(start, views)
     boards = np.flatnonzero(np.isfinite(depths).any(axis=1))
-    sigma = part * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(boards))
-    weight = (max(noise_px, _LEAST_NOISE_PX) / sigma) ** 2
+    sigma = _HELD * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(boards))
+    weight = (noise_px / sigma) ** 2
     middle = int(np.argmin(np.linalg.norm(views.board, axis=1)))
     places = start.points(views.board)[:, middle]
     held = tuple(

@@ -13,13 +13,13 @@ d_i p / sqrt(n_i^2 - p^2) = |L|; the derivatives of p are those of an implicit f
 import math
 from typing import Any
 
+from sabench.geometry.refraction import NEWTON
 from sabench.utils.compiled import numba
 
 # rotation 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3, tilt 2
 CAMERA = 16
 BOARD = 6  # rotation 3, position 3
 BEND = 3  # of a board: along its X, its twist, along its Y
-_MOST_ITERATIONS = 60
 
 
 @numba.njit(cache=True)
@@ -33,7 +33,7 @@ def _bend(indices: Any, depths: Any, radius: float) -> float:
     for i in range(len(indices)):
         paraxial += depths[i] * rarest / indices[i]
     slope = radius / paraxial
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(NEWTON):
         value, gradient = -radius, 0.0
         for i in range(len(indices)):
             r = indices[i] / rarest

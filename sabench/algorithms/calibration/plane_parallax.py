@@ -17,7 +17,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sabench.algorithms.calibration.fit_checks import correlated_part, neighbours
+from sabench.algorithms.calibration.fit_checks import FLAT, correlated_part, neighbours
 from sabench.geometry.projective_camera import Projective
 from sabench.utils.arrays import F64, Bool, nested
 from sabench.utils.errors import InputError
@@ -70,7 +70,7 @@ def plane_homography(name: str, plane_mm: F64, pixels: F64) -> F64:
     matrix = None
     if len(plane_mm) >= _FEWEST:
         spread = np.linalg.svd(plane_mm - plane_mm.mean(axis=0), compute_uv=False)
-        if spread[-1] > 1e-6 * spread[0]:
+        if spread[-1] > FLAT * spread[0]:
             matrix = cv2.findHomography(plane_mm, pixels)[0]
     if matrix is None:
         raise InputError(
@@ -118,7 +118,7 @@ def fit_depth_scale(found: RankOne, points_mm: F64) -> DepthScale:
         Places that are all on the reference plane.
     """
     z = points_mm[:, 2]
-    if np.ptp(z) <= 1e-6 * np.ptp(points_mm[:, 0]):
+    if np.ptp(z) <= FLAT * np.ptp(points_mm[:, 0]):
         raise InputError("expected points at different depths, got all of them in one plane")
     x, y, zero = *found.middles.T, np.zeros_like(z)
     table = np.vstack([np.column_stack([-z * x, z, zero]), np.column_stack([-z * y, zero, z])])

@@ -13,7 +13,7 @@ from typing import get_args
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, residuals
-from sabench.algorithms.calibration.fit_checks import check_state
+from sabench.algorithms.calibration.fit_checks import FLAT, ODD, check_state
 from sabench.algorithms.calibration.parameters import (
     FreeParameters,
     State,
@@ -37,8 +37,6 @@ from sabench.utils.validation import LensNumber, WallNumber
 
 _SUSPECT = 0.5  # share of an image's points that fit, below which something is wrong with all of it
 _WRONG = 0.01  # of an image's width: noise that no detection has
-_FITS = 6.0  # times the noise below which a guess explains the points
-_FLAT = 1e-3  # thickness over width of points that lie in one plane
 _SEVERAL = 3  # points that distinguish an image from another
 _MIRRORED = 0.25  # times its misfit below which the mirror image of an array fits better
 _FAR = 3.0  # times the nominal distance of a camera, beyond which no guess can be so wrong
@@ -137,7 +135,7 @@ def check_fit(
     if case.target.pattern == "wand":
         return
     spread = np.linalg.svd(fitted - middle, compute_uv=False)
-    if spread[2] < _FLAT * spread[0]:
+    if spread[2] < FLAT * spread[0]:
         raise InputError(
             "expected a target at different depths or tilts, but all frames show it in one "
             "plane, which leaves focal lengths open"
@@ -155,7 +153,7 @@ def _check_views(
         view = camera, number
         for degrees, order in list_relabellings(case.target):
             misses = np.linalg.norm(views.pixels[view] - computed[view][order], axis=-1)
-            if np.nanmedian(misses[visible[view]]) < _FITS * noise_px:
+            if np.nanmedian(misses[visible[view]]) < ODD * noise_px:
                 raise InputError(
                     f"{case.cameras[camera].name}: frame {number}: expected its points numbered as "
                     f"in the other cameras, but they are turned by {degrees} degrees"
@@ -235,9 +233,6 @@ def _rms(errors: F64) -> float:
     return float(np.sqrt(np.nanmean(np.sum(errors**2, axis=-1))))
 
 
-_SAME = 1e-6  # part of a unit vector along a wall's normal below which a shift is along the wall
-
-
 def fit_free_motion(frame: WallFrame, points: F64, targets: F64) -> RigidMotion:
     """Fit the motion of points (n, 3) to targets, in a frame, that no image shows.
 
@@ -259,7 +254,7 @@ def fit_free_motion(frame: WallFrame, points: F64, targets: F64) -> RigidMotion:
     if len(planes) < len(walls):
         return RigidMotion.none()
     _, values, right = np.linalg.svd(np.array([wall.normal for wall in planes]))
-    along = right[np.append(values, np.zeros(3))[:3] < _SAME] @ motion.rotation.T
+    along = right[np.append(values, np.zeros(3))[:3] < FLAT] @ motion.rotation.T
     return RigidMotion(np.eye(3), along.T @ along @ (targets - points).mean(axis=0))
 
 

@@ -9,9 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine, residuals
+from sabench.algorithms.calibration.fit_checks import FLAT
 from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame, common_plane
 from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera, aimed_rotation
+from sabench.geometry.common_view import FLATTEST_DEGREES
 from sabench.geometry.polynomial_cameras import fit_planes as fit_planes, fit_soloff as fit_soloff
 from sabench.geometry.projective_camera import (
     Projective as Projective,
@@ -22,7 +24,6 @@ from sabench.utils.arrays import F64
 
 _LEAST = 4  # points of a frame in all cameras, below which its images show no pose
 _NEAR = 0.5  # part of the nominal depth behind a wall that all boards keep
-_LINE = 1e-6  # width over length of points on a line
 _QUARTERS = np.arange(4) * np.pi / 2.0
 
 
@@ -101,7 +102,7 @@ def known_places(case: CalibrationCase) -> F64:
 
 def _on_line(points: F64) -> bool:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] <= _LINE * spread[0])
+    return bool(spread[1] <= FLAT * spread[0])
 
 
 def _refit_boards(best: State, start: State, views: BoardImages) -> State:
@@ -119,10 +120,6 @@ def _refit_boards(best: State, start: State, views: BoardImages) -> State:
         ),
         board_positions=np.where(better[:, None], fitted.board_positions, best.board_positions),
     )
-
-
-_PLANE = 1e-6  # thickness over width of places in one plane
-_FLATTEST_DEGREES = 15.0  # between a line of sight and planes of constant Z
 
 
 def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
@@ -146,7 +143,7 @@ def reason_if_flat(case: CalibrationCase) -> str | None:
     """Return the reason to refuse nominal positions in one plane, or None."""
     nominal = case.initial_mm[np.isfinite(case.initial_mm).all(axis=-1)]
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
-    if spread[2] > _PLANE * spread[0]:
+    if spread[2] > FLAT * spread[0]:
         return None
     return "expected nominal positions at different depths, got all of them in one plane"
 
@@ -155,10 +152,10 @@ def reason_if_edge_on(case: CalibrationCase) -> str | None:
     """Say which camera sees planes of constant Z edge-on; None if none does."""
     for camera in case.cameras:
         angle = float(np.rad2deg(np.arcsin(min(abs(camera.rotation[2][2]), 1.0))))
-        if angle < _FLATTEST_DEGREES:
+        if angle < FLATTEST_DEGREES:
             return (
                 f"its polynomial is quadratic along Z, and {camera.name} looks {angle:.0f} degrees "
-                f"from planes of constant Z (at least {_FLATTEST_DEGREES:.0f}): turn the world so "
+                f"from planes of constant Z (at least {FLATTEST_DEGREES:.0f}): turn the world so "
                 "that Z is the viewing direction"
             )
     return None

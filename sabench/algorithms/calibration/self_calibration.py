@@ -10,8 +10,9 @@ from functools import partial
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, refine, residuals
-from sabench.algorithms.calibration.disparity import Sets, correct, find_sets, pair_up
-from sabench.algorithms.calibration.joint_fit import median_noise
+from sabench.algorithms.calibration.disparity import SETS, Sets, correct, find_sets, pair_up
+from sabench.algorithms.calibration.fit_checks import ODD
+from sabench.algorithms.calibration.joint_fit import CAUCHY, median_noise
 from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.algorithms.particles.candidate_search import rig_axes, turn_maps
 from sabench.algorithms.particles.matching import detect_in_cameras
@@ -34,11 +35,9 @@ _SETTLED_PX = 0.03
 # may be larger than its own error
 _FARTHER = 3.0
 _CORE = 4  # cameras that are matched all with all
-_PAIRS = 1_000_000
 _MOST = 3000  # particles that the cameras are adjusted to
 _LATTICE = (5, 5, 3)
 _NOMINAL_PX = 2.0  # standard deviation of the nominal cameras' pixels
-_REJECT = 4.0
 # standard deviations of right sets above chance: the most crowded of many spots of wrong
 # ones has a dozen
 _SURE = 20.0
@@ -178,7 +177,7 @@ def _pairs(
 ) -> tuple[I64, F64]:
     """Return pairs (n, 2) of positions and a camera's images, and errors."""
     pixels = project_points(maps, camera, positions)
-    pairs = np.empty((_PAIRS, 2), dtype=np.int64)
+    pairs = np.empty((SETS, 2), dtype=np.int64)
     pairs = pairs[: pair_up(peaks, pixels, radius, pairs)]
     return pairs, peaks.pixels[pairs[:, 1]] - pixels[pairs[:, 0]]
 
@@ -250,13 +249,13 @@ def _adjust(state: State, views: BoardImages, particles: int) -> State:
     noise = _noise(state, views, particles)
     for _ in range(_ROUNDS):
         weighted = replace(views, weights=_weights(views, particles, noise))
-        state = refine(state, weighted, FreeParameters(), 3.0 * noise).state
+        state = refine(state, weighted, FreeParameters(), CAUCHY * noise).state
         before, noise = noise, _noise(state, views, particles)
         if noise > 0.9 * before:
             break
     weights = _weights(views, particles, noise)
     lengths = np.linalg.norm(residuals(state, views), axis=-1)
-    weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
+    weights[:, :particles] *= lengths[:, :particles] <= ODD * noise
     return refine(state, replace(views, weights=weights), FreeParameters()).state
 
 
@@ -268,4 +267,4 @@ def _weights(views: BoardImages, particles: int, noise: float) -> F64:
 
 def _noise(state: State, views: BoardImages, particles: int) -> float:
     lengths = np.linalg.norm(residuals(state, views), axis=-1)[:, :particles]
-    return max(median_noise(lengths[views.weights[:, :particles] > 0.0]), 1e-3)
+    return median_noise(lengths[views.weights[:, :particles] > 0.0])

@@ -11,7 +11,7 @@ import numpy as np
 from sabench.algorithms.calibration import bundle_adjustment as bundle
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine
 from sabench.algorithms.calibration.fit_checks import list_faults
-from sabench.algorithms.calibration.joint_fit import fit_jointly, fixes_world, make_prior
+from sabench.algorithms.calibration.joint_fit import CAUCHY, fit_jointly, fixes_world, make_prior
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.api import CalibrationCase
@@ -28,9 +28,8 @@ _GROUPS: tuple[tuple[Unknown, ...], ...] = (
 _FIRST = {"k2": "k1", "k3": "k2"}  # what an unknown presupposes
 _FOLDS = 5
 _SURE = 2.0  # standard errors: least improvement of held-out boards
-_LEAST_GAIN = 0.001  # least gain of an unknown, part of the held-out error
-_TRIES = 3  # unknowns tried in a row without success before the search ends
-_BEND = 3.0  # scale of the loss of held-out residuals, over the noise
+# least gain of an unknown, part of the held-out error: without it, a thickness that hardly shows
+_LEAST_GAIN = 0.001
 
 
 @dataclass(frozen=True)
@@ -91,19 +90,20 @@ def select_unknowns(case: CalibrationCase) -> tuple[tuple[Unknown, ...], tuple[N
     base = fit_jointly(problem, FreeParameters())
     held = _HeldOut(problem, folds, layers, base.noise_px)
     chosen: tuple[Unknown, ...] = ()
-    state, losses = base.fit.state, held.losses(base.fit.state, ())
+    state = base.fit.state
+    if base.held:  # without what was fitted in addition
+        state = replace(state, lenses=problem.start.lenses, bend=problem.start.bend)
+    losses = held.losses(state, ())
     if losses is None:
         raise InputError("expected frames that hold-out fits can place, got none")
     rows = [Nested((), _px(losses), None, None, True)]
-    failed = 0
     possible = [group for group in _GROUPS if _can_free(group, problem)]
     left = possible.copy()
-    while failed < _TRIES and (group := held.most_promising(state, chosen, left)):
+    while group := held.most_promising(state, chosen, left):
         left.remove(group)
         names = (*chosen, *group)
         row, tried = held.compare(state, names, group, losses)
         rows.append(row)
-        failed = 0 if row.chosen else failed + 1
         if row.chosen and tried is not None:
             chosen, losses = names, tried
             state = held.full(state, chosen)
@@ -154,14 +154,14 @@ class _HeldOut:
         return replace(self.problem.seen, anchors=anchors, prior=prior)
 
     def full(self, state: State, names: tuple[Unknown, ...]) -> State:
-        return refine(state, self.views, self.free(names), _BEND * self.noise_px).state
+        return refine(state, self.views, self.free(names), CAUCHY * self.noise_px).state
 
     def most_promising(
         self, state: State, chosen: tuple[Unknown, ...], left: list[tuple[Unknown, ...]]
     ) -> tuple[Unknown, ...] | None:
         """Find the group with the largest decrease of the cost in one step."""
         ready = [names for names in left if _FIRST.get(names[0], names[0]) in (names[0], *chosen)]
-        views, scale, gains = self.views, _BEND * self.noise_px, []
+        views, scale, gains = self.views, CAUCHY * self.noise_px, []
         for group in ready:
             normal = bundle.normal_equations(state, views, self.free((*chosen, *group)), scale)
             gains.append(bundle.promised_gain(normal))
@@ -175,7 +175,7 @@ class _HeldOut:
 
     def _fold(self, state: State, names: tuple[Unknown, ...], fold: I64) -> F64 | None:
         """Fit without the frames of a fold, then place these; their mean losses, px^2."""
-        views, free, scale = self.views, self.free(names), _BEND * self.noise_px
+        views, free, scale = self.views, self.free(names), CAUCHY * self.noise_px
         weights = views.weights.copy()
         weights[:, fold] = 0.0
         left = tuple(anchor for anchor in views.anchors if anchor.board not in set(fold.tolist()))

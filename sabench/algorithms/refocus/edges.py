@@ -6,16 +6,14 @@ thesis, chapter 6 (figure 6-6), which shows edges without their depths.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.ndimage import convolve1d, map_coordinates, maximum_filter1d
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter1d
 
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, I64, Bool
 
-_WIDTH = 1.0  # standard deviation of the gradient's Gaussian, voxels
-_REACH = 4  # standard deviations that are sampled
-_PARTS = 8  # of the planes, differentiated one at a time
 _LEAST_PART = 0.5  # of the largest gradient, above which planes take part in the fit of the depth
 
 
@@ -54,9 +52,8 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
     """
     planes = max(1, round(reach_mm / grid.voxel_mm[2]))
     height = np.empty_like(stack)
-    for part in np.array_split(np.arange(len(stack)), _PARTS):
-        along_x, along_y = plane_gradient(stack[part])
-        height[part] = np.hypot(along_x, along_y)
+    for plane, out in zip(stack, height, strict=True):
+        np.hypot(*plane_gradient(plane), out=out)
     highest = maximum_filter1d(height, 2 * planes + 1, axis=0, mode="nearest")
     z, y, x = np.nonzero((height >= least) & (height == highest))
     # edges that are sharpest on the first or last plane lie beyond it
@@ -73,26 +70,23 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
 
 
 def plane_gradient(planes: F32) -> tuple[F32, F32]:
-    """Differentiate planes (z, y, x) along x and y; a sharp edge of height 1 gives 1."""
-    at = np.arange(-_REACH, _REACH + 1) / _WIDTH
-    bell = np.exp(-0.5 * at**2)
-    slope = at * bell
-    slope *= np.sqrt(2.0 * np.pi) * _WIDTH / np.sum(slope * at * _WIDTH)
-    bell /= bell.sum()
-    smooth_x, smooth_y = (convolve1d(planes, bell, axis=axis, mode="nearest") for axis in (2, 1))
-    along_x = convolve1d(smooth_y, slope[::-1], axis=2, mode="nearest")
-    along_y = convolve1d(smooth_x, slope[::-1], axis=1, mode="nearest")
-    return np.asarray(along_x), np.asarray(along_y)
+    """Differentiate planes (..., y, x) along x and y by a Gaussian of one voxel.
+
+    A sharp edge of height 1 gives 1.
+    """
+    scaled = np.sqrt(np.float32(2.0 * np.pi)) * planes
+    nearest: dict[str, Any] = {"mode": "nearest", "axes": (-2, -1)}
+    x, y = (gaussian_filter(scaled, 1.0, order, **nearest) for order in ((0, 1), (1, 0)))
+    return x, y
 
 
 def _directions(stack: F32, z: I64, y: I64, x: I64) -> F64:
     """Compute unit vectors (n, 2) along the gradients at some voxels."""
     out = np.zeros((len(z), 2))
-    for part in np.array_split(np.arange(len(stack)), _PARTS):
-        inside = np.flatnonzero(np.isin(z, part))
-        if len(inside):
-            index = z[inside] - part[0], y[inside], x[inside]
-            out[inside] = np.column_stack([slope[index] for slope in plane_gradient(stack[part])])
+    for plane in np.unique(z).tolist():
+        inside = np.flatnonzero(z == plane)
+        slopes = plane_gradient(stack[plane])
+        out[inside] = np.column_stack([slope[y[inside], x[inside]] for slope in slopes])
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))
 
 

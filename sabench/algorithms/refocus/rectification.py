@@ -17,8 +17,9 @@ from sabench.utils.threads import on_cores
 # each
 LINEAR, CUBIC = (1,), (1, 1, 1)
 # of the cubic B-spline's inverse filter: Unser, IEEE Signal Process. Mag. 16 (1999) 22-38
-_POLE = math.sqrt(3.0) - 2.0
-_SETTLED = 12  # terms after which the pole's powers are below single precision
+POLE = math.sqrt(3.0) - 2.0
+# terms after which the pole's powers are below single precision
+TERMS = math.ceil(math.log(np.finfo(np.float32).eps) / math.log(-POLE))
 _LINES = 64  # lines filtered side by side, so that the recursion runs over contiguous numbers
 
 
@@ -72,10 +73,10 @@ def _filter_along_columns(jobs: slice, padded: Any) -> None:
 def _filter(lines: Any) -> None:
     """Apply the inverse filter down the first axis, in place, to adjacent lines."""
     length, count = lines.shape
-    pole, gain = np.float32(_POLE), np.float32((1.0 - _POLE) * (1.0 - 1.0 / _POLE))
-    last = np.float32(_POLE / (_POLE * _POLE - 1.0))
+    pole, gain = np.float32(POLE), np.float32((1.0 - POLE) * (1.0 - 1.0 / POLE))
+    last = np.float32(POLE / (POLE * POLE - 1.0))
     start, power = np.zeros(count, dtype=np.float32), np.float32(1.0)
-    for k in range(min(_SETTLED, length)):
+    for k in range(min(TERMS, length)):
         for i in range(count):
             start[i] += power * lines[k, i]
         power *= pole

@@ -11,12 +11,11 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
 from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.common_view import FLATTEST_DEGREES
 from sabench.geometry.grid import Grid
 from sabench.geometry.surfaces import normals_of
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.progress import progress_bar
-
-_FLATTEST_DEGREES = 15.0  # between a line of sight and the planes
 
 
 def find_edge_on(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
@@ -34,10 +33,10 @@ def find_edge_on(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
             continue  # the search for light paths raises the error
         least, most = np.sort(np.linalg.svd(pixels[:2] - pixels[2:], compute_uv=False))
         angle = float(np.rad2deg(np.arcsin(min(least / max(most, 1e-300), 1.0))))
-        if angle < _FLATTEST_DEGREES:
+        if angle < FLATTEST_DEGREES:
             return (
                 f"it refocuses planes of constant Z, which {camera.name} sees edge-on, at "
-                f"{angle:.0f} degrees (at least {_FLATTEST_DEGREES:.0f}): turn the world so that "
+                f"{angle:.0f} degrees (at least {FLATTEST_DEGREES:.0f}): turn the world so that "
                 "Z is the viewing direction"
             )
     return None

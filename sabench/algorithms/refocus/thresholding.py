@@ -15,7 +15,6 @@ from sabench.utils.threads import on_cores
 # of the particles' occupancy that a field should have: tuned on seeds 101 and 102
 _SHARE = {"reduced": 0.85, "whole": 0.65}
 _STEP, _BINS = 0.01, 4096  # levels of k that are tried, up to 41
-_FLAT = 1e-30
 
 Keep = Literal["reduced", "whole"]
 
@@ -120,16 +119,16 @@ def auto_k(volume: F32, share: float, keep: Keep) -> float:
     ----------
     share : `occupancy`; the field aims at 0.85 (reduced) or 0.65 (whole) of it.
     """
-    means, spreads = plane_statistics(volume)
+    (means, spreads), least = plane_statistics(volume), np.finfo(np.float32).tiny
     sums = np.zeros((len(volume), _BINS, 3))
-    scales = 1.0 / (_STEP * np.maximum(spreads, _FLAT))
+    scales = 1.0 / (_STEP * np.maximum(spreads, least))
     on_cores(_sum_bins, len(volume), volume, means, scales, sums)
     # of all that lies above each level
     count, light, square = np.moveaxis(np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0)
     levels = _STEP * np.arange(_BINS)
     base = means[:, None] + levels * spreads[:, None] if keep == "reduced" else np.zeros_like(light)
     left = (light - base * count).sum(axis=0)
-    filled = left**2 / np.maximum((square - base * (2.0 * light - base * count)).sum(axis=0), _FLAT)
+    filled = left**2 / np.maximum((square - base * (2.0 * light - base * count)).sum(axis=0), least)
     enough = np.flatnonzero(filled <= _SHARE[keep] * share * volume.size)
     return float(levels[enough[0]]) if len(enough) else float(levels[-1])
 

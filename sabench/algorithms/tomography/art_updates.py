@@ -284,8 +284,7 @@ def _share(distance: Any, spread: Any) -> Any:
 # of a bright particle's peak: darker pixels are raised to it, since the logarithm of zero is no
 # correction
 DARKEST = 1e-3
-_NOTHING = 1e-30
-_UNKNOWN = np.float32(1e-30)  # at least as much light: no projection is too bright for it
+_NOTHING = np.float32(1e-30)  # the least light of projections, and of what pixels may have seen
 
 
 @dataclass(frozen=True)
@@ -322,7 +321,7 @@ class RecordedLight:
     @classmethod
     def of(cls, light: F32, saturated: Bool, unknown: Bool) -> RecordedLight:
         """Make it of normalised images; every projection explains the unknown pixels."""
-        filled = np.where(unknown, _UNKNOWN, np.maximum(light, np.float32(DARKEST)))
+        filled = np.where(unknown, _NOTHING, np.maximum(light, np.float32(DARKEST)))
         return cls(filled, saturated | unknown)
 
     def unknown(self) -> Bool:
@@ -367,7 +366,7 @@ def _log_ratio(jobs: slice, light: Any, saturated: Any, projection: Any, squares
     for row in range(jobs.start, jobs.stop):
         total = 0.0
         for i in range(light.shape[1]):
-            cast = max(projection[row, i], np.float32(_NOTHING))
+            cast = max(projection[row, i], _NOTHING)
             if saturated[row, i]:
                 cast = min(cast, light[row, i])
             projection[row, i] = np.log2(light[row, i] / cast)

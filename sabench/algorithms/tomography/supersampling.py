@@ -16,13 +16,13 @@ from sabench.algorithms.tomography.projection_operator import Support
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.images.gaussians import gaussian_shares
+from sabench.images.levels import BRIGHT, ILLUMINATED
 from sabench.utils.arrays import F32, F64, triple
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
 _REACH = 3.0  # radius of a blob, standard deviations
-_BRIGHT, _LIT = 95.0, 0.1  # as `images.levels.normalise` scales images
 _FAINTEST = 0.01
 _MOST = 20.0  # typical voxels that the brightest one counts at most
 _BITS = 18  # of a float32 that are left out of its class: 32 classes an octave
@@ -164,8 +164,8 @@ def clear_dark(volume: F32, floor: float) -> F32:
     peak in the images is 1, and its light fills dozens of voxels.
     """
     brightest = min(float(volume.max(initial=0.0)), _MOST * _typical(volume))
-    bright_voxels = volume[volume > _LIT * brightest]
-    level = float(np.percentile(bright_voxels, _BRIGHT)) if len(bright_voxels) else 0.0
+    bright_voxels = volume[volume > ILLUMINATED * brightest]
+    level = float(np.percentile(bright_voxels, BRIGHT)) if len(bright_voxels) else 0.0
     bright = max(level, _FAINTEST)
     volume[volume < floor * bright] = 0.0
     return volume

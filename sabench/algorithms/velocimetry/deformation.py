@@ -5,11 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from sabench.algorithms.refocus.rectification import POLE, TERMS
 from sabench.utils.arrays import F32
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
-
-_TERMS = 14  # of a geometric series that falls to a hundred-millionth: float32 holds no more
 
 
 @numba.njit(cache=True)
@@ -27,7 +26,7 @@ def spline_coefficients(volume: F32) -> F32:
     Voxels are mirrored at faces. Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38,
     1999.
     """
-    out, pole = volume.copy(), np.float32(np.sqrt(3.0) - 2.0)
+    out, pole = volume.copy(), np.float32(POLE)
     on_cores(_filter_planes, out.shape[0], out, pole)
     on_cores(_filter_depths, out.shape[1], out, pole)
     return out
@@ -53,7 +52,7 @@ def _filter_line(line: Any, pole: Any) -> None:
     if count < 2:
         return
     start, power = line[0], pole
-    for n in range(1, _TERMS):
+    for n in range(1, TERMS):
         start += power * line[_mirror(n, count)]
         power *= pole
     line[0] = start
@@ -72,7 +71,7 @@ def _filter_rows(plane: Any, pole: Any) -> None:
     if count < 2:
         return
     start, power = plane[0].copy(), pole
-    for n in range(1, _TERMS):
+    for n in range(1, TERMS):
         row = plane[_mirror(n, count)]
         for x in range(width):
             start[x] += power * row[x]

@@ -27,7 +27,7 @@ from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 from sabench.utils.threads import on_cores
 
-_FILLING_ROUNDS = 3.0  # standard deviations that a Gaussian reaches
+_REACH = 3.0  # standard deviations of a Gaussian that count
 _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)
 
 
@@ -86,7 +86,7 @@ def _around(values: F64) -> F64:
 
 def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
     """Smooth vectors by a Gaussian (z, y, x), extrapolated linearly at edges."""
-    radii = [math.ceil(_FILLING_ROUNDS * width) for width in sigma]
+    radii = [math.ceil(_REACH * width) for width in sigma]
     counts = shift.shape[:3]
     margins = [min(radius, count - 1) for radius, count in zip(radii, counts, strict=True)]
     padding = [*((margin, margin) for margin in margins), (0, 0)]
@@ -159,7 +159,6 @@ def _median(values: Any, count: int) -> Any:
 
 
 Widths = tuple[float, float, float]
-_REACH = 3.0  # standard deviations of a Gaussian that count
 
 
 def widths(volume: F32) -> Widths:

@@ -11,12 +11,12 @@ from scipy.ndimage import map_coordinates, uniform_filter
 from sabench.algorithms.velocimetry.multipass import Field
 from sabench.api import Observation, Velocity
 from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.common_view import FLATTEST_DEGREES
 from sabench.geometry.grid import Grid, cut_box
 from sabench.geometry.rigid_motion import cross, frame_of_normal
 from sabench.utils.arrays import F32, F64, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
 
-_FLATTEST_DEGREES = 15.0  # between a line of sight and the plane
 _PROBES = 65  # points along each side of the plane that are projected to find what a camera sees
 _SHORTEST = 0.1  # projection on the plane of a unit vector that can be an axis of it
 
@@ -179,11 +179,11 @@ class _View:
             who = self.name if count == 1 else f"none of {count} cameras"
             what = "no point" if count == 1 else "a point"
             raise DeclinedError(f"{who} sees {what} of the light sheet in the grid")
-        if self.angle < _FLATTEST_DEGREES:
+        if self.angle < FLATTEST_DEGREES:
             who = self.name if count == 1 else f"even the best camera, {self.name},"
             raise DeclinedError(
                 f"{who} sees the light sheet edge-on, at {self.angle:.0f} degrees (at least "
-                f"{_FLATTEST_DEGREES:.0f})"
+                f"{FLATTEST_DEGREES:.0f})"
             )
 
     def axes(self, normal: F64) -> F64:

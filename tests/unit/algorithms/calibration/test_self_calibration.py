@@ -73,7 +73,7 @@ def test_sets_that_agree_by_chance_are_refused() -> None:
 def test_without_room_for_all_sets_images_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = particle_scene(2.0)
     shot = simulate(scene, seed=3)
-    monkeypatch.setattr(disparity, "_SETS", 20_000)
+    monkeypatch.setattr(disparity, "SETS", 20_000)
     assert disagreement_px(shot, corrected(shot.observation).cameras, scene) < 0.06
 
 
