@@ -1,4 +1,4 @@
-"""Small cases on which `ablation.py` judges rules: of particles' images, and of tracks.
+"""Small cases on which `ablation.py` judges rules: of particles' images, tracks and bubbles.
 
 A case makes what a solver sees and the truth of it, once for each seed: `work/ablation` keeps
 them, so that a rule that simulation uses, too, changes the solver's side only. Then it scores a
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
+from benchmarks.ablation_bubbles import BUBBLES
 from benchmarks.ablation_rules import ROOT
 from benchmarks.particle_scores import score_particles
 from sabench.api import Camera, ImageSequence
@@ -40,8 +41,8 @@ Truth = list[Shot] | U16
 class Case:
     """Images and truth of a seed, and the score of a solver on them."""
 
-    make: Callable[[int], Truth]
-    score: Callable[[Truth], dict[str, float]]
+    make: Callable[[int], Any]
+    score: Callable[[Any], dict[str, float]]
 
 
 def small_scene(per_pixel: float, **changes: Any) -> Any:
@@ -285,7 +286,11 @@ PARTICLES = {
         for kind in ("even", "uneven", "photons", "cut", "cut hard")
     },
 }
-CASES = {"algorithms/particles": PARTICLES, "images": PARTICLES}
+CASES: dict[str, dict[str, Case]] = {
+    "algorithms/particles": PARTICLES,
+    "images": PARTICLES,
+    "algorithms/bubbles": {name: Case(*case) for name, case in BUBBLES.items()},
+}
 
 
 def run(room: str, name: str, seed: int) -> dict[str, float]:
