@@ -25,7 +25,6 @@ _LAYERS, _EDGE = 256, 3.6541528853610088  # of the ziggurat, and where its tail 
 _LARGE = 10  # the least mean of which numbers are nearly normal
 _PER_UNIT, _MOST = 8, 64  # tabulated means, and numbers of each
 _CELLS = 64  # of a uniform number, that shorten a search
-_SERIES = 16  # Stirling's errors of smaller numbers are tabulated
 
 
 def _ziggurat() -> tuple[F64, F64]:
@@ -53,20 +52,11 @@ def _distributions() -> F64:
     return table
 
 
-def _stirling_errors() -> F64:
-    """Tabulate log k! - log(sqrt(2 pi k) (k / e)^k); 0 for k = 0, which has none."""
-    errors = np.zeros(_SERIES)
-    for k in range(1, _SERIES):
-        errors[k] = math.lgamma(k + 1) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
-    return errors
-
-
 _EDGES, _HEIGHTS = _ziggurat()
 _DISTRIBUTIONS = _distributions()
 _STARTS = np.stack(
     [np.searchsorted(row, np.arange(_CELLS) / _CELLS, side="right") for row in _DISTRIBUTIONS]
 ).astype(np.uint8)
-_ERRORS = _stirling_errors()
 
 
 @numba.njit(cache=True, inline="always")
@@ -239,8 +229,8 @@ def _chance(k: float, mean: float) -> Any:
     """
     if k == 0.0:
         return math.exp(-mean)
-    if k < _SERIES:
-        error = _ERRORS[np.intp(k)]
+    if k < _LARGE:  # log k! - log(sqrt(2 pi k) (k / e)^k)
+        error = math.lgamma(k + 1.0) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
     else:  # Stirling's
         square = 1.0 / (k * k)
         series = 1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)
