@@ -24,7 +24,6 @@ _LAYER, _SIGN = np.uint64(0xFF), np.uint64(0x100)  # of the bits that uniform nu
 _LAYERS, _EDGE = 256, 3.6541528853610088  # of the ziggurat, and where its tail begins
 _LARGE = 10  # the least mean of which numbers are nearly normal
 _PER_UNIT, _MOST = 8, 64  # tabulated means, and numbers of each
-_CELLS = 64  # of a uniform number, that shorten a search
 
 
 def _ziggurat() -> tuple[F64, F64]:
@@ -54,9 +53,6 @@ def _distributions() -> F64:
 
 _EDGES, _HEIGHTS = _ziggurat()
 _DISTRIBUTIONS = _distributions()
-_STARTS = np.stack(
-    [np.searchsorted(row, np.arange(_CELLS) / _CELLS, side="right") for row in _DISTRIBUTIONS]
-).astype(np.uint8)
 
 
 @numba.njit(cache=True, inline="always")
@@ -164,7 +160,7 @@ def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
         return _invert(u, mean)
     # from a tabulated distribution, and a number of the rest of the mean
     cell = np.uintp(np.intp(mean * _PER_UNIT))
-    k = np.uintp(_STARTS[cell, np.uintp(np.intp(u * _CELLS))])
+    k = np.uintp(0)
     while u >= _DISTRIBUTIONS[cell, k]:
         k += _ONE
     return float(k) + _invert(_uniform(words[2], words[3]), mean - cell / _PER_UNIT)
