@@ -22,7 +22,7 @@ and no other bubble does, over all of its darkness. Accepted bubbles darken the 
 follow. Small bubbles along a rim are replaced by one that explains the images as well, and all are
 fitted again, `sweeps` times; those that the others explain by now are dropped.
 
-Stopping. A fit ends with the first step that moves no parameter by 1e-3.
+Stopping. A fit ends when no parameter moves by more than 1e-3, or after its steps.
 """
 
 from collections.abc import Sequence
@@ -35,6 +35,8 @@ from sabench.algorithms.bubbles.backlit_images import DIM, LARGEST, REACH, SMALL
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
+
+_MARGIN = 2.5  # px around a bubble that are looked at
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -112,7 +114,7 @@ def box_of(ellipse: Any, shape: Any, blur: float) -> Any:
     """Find the rows and columns that an ellipse's image reaches, and its mean radius."""
     determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]
     width, height = np.sqrt(ellipse[4] / determinant), np.sqrt(ellipse[2] / determinant)
-    margin = REACH * blur
+    margin = REACH * blur + _MARGIN
     top, bottom = (
         int(max(np.floor(ellipse[1] - height - margin), 0)),
         int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0])),
@@ -124,12 +126,9 @@ def box_of(ellipse: Any, shape: Any, blur: float) -> Any:
     return top, bottom, left, right, determinant**-0.25
 
 
-def start_of(center_mm: F64, radius_mm: F64 | float, aspect: F64 | float = 1.0) -> F64:
-    """Return parameters (..., 7) of balls (..., 3), or of spheroids that lie flat."""
-    out = np.zeros((*center_mm.shape[:-1], 7))
-    out[..., :3], out[..., 3] = center_mm, np.log(radius_mm)
-    out[..., 4] = out[..., 3] + np.log(aspect)
-    return out
+def start_of(center_mm: F64, radius_mm: float, aspect: float = 1.0) -> F64:
+    """Return parameters of a ball, or of a spheroid that lies flat."""
+    return np.array([*center_mm, np.log(radius_mm), np.log(aspect * radius_mm), 0.0, 0.0])
 
 
 def turn_of(parameters: F64) -> F64:
@@ -156,12 +155,13 @@ def images_of(linear: tuple[F64, F64, F64], parameters: F64) -> F64:
 
     Parameters
     ----------
-    linear : from `linearise`, around one position or one for each bubble.
+    linear : from `linearise`: a position, its pixels (camera, 2) and their derivatives (camera, 2,
+        3).
     """
     position, pixels, jacobians = linear
-    among = (1,) * (parameters.ndim - position.ndim)
-    pixels = pixels.reshape(*pixels.shape[:-1], *among, 2)
-    jacobians = jacobians.reshape(*jacobians.shape[:-2], *among, 2, 3)
+    among = parameters.ndim - 1
+    pixels = pixels.reshape(-1, *(1,) * among, 2)
+    jacobians = jacobians.reshape(-1, *(1,) * among, 2, 3)
     rotation, axes = turn_of(parameters), semi_axes_of(parameters)
     half = jacobians @ (rotation.swapaxes(-1, -2) * axes[..., None, :])  # (camera, ..., 2, 3)
     xx, yy = np.sum(half[..., 0, :] ** 2, axis=-1), np.sum(half[..., 1, :] ** 2, axis=-1)
@@ -175,18 +175,12 @@ def images_of(linear: tuple[F64, F64, F64], parameters: F64) -> F64:
 
 
 def linearise(cameras: Sequence[Camera], position: F64) -> tuple[F64, F64, F64]:
-    """Linearise every camera around positions (..., 3).
-
-    Returns these, their pixels (camera, ..., 2) and the derivatives (camera, ..., 2, 3).
-    """
+    """Linearise every camera around a position."""
     step = 0.05
-    points = position[..., None, :] + step * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-    flat = points.reshape(-1, 3)
-    pixels = np.stack(
-        [camera.project(flat)[0].reshape(*points.shape[:-1], 2) for camera in cameras]
-    )
-    jacobians = (pixels[..., 1:4, :] - pixels[..., 4:7, :]).swapaxes(-1, -2) / (2.0 * step)
-    return position.copy(), pixels[..., 0, :], np.asarray(jacobians)
+    points = np.vstack([position, position + step * np.eye(3), position - step * np.eye(3)])
+    pixels = np.stack([camera.project(points)[0] for camera in cameras])
+    jacobians = (pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step)
+    return position.copy(), pixels[:, 0], np.asarray(jacobians)
 
 
 _STEP = np.sqrt(np.finfo(np.float64).eps)  # of differences that give derivatives of ellipses
@@ -210,20 +204,20 @@ def darken(model: RimModel, parameters: F64, sign: float) -> None:
     _darken(model.logs, ellipses, model.profile.table, model.profile.blur_px, np.float32(sign))
 
 
-def gain(model: RimModel, ellipses: F64) -> F64:
-    """Compute the unexplained dark share (camera,) of a shadow (camera, 5), or NaN."""
+def gain(model: RimModel, parameters: F64) -> F64:
+    """Compute the unexplained dark share (camera,) of a shadow, or NaN."""
+    ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
     _gains(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)
     return out
 
 
-def fit_bubble(model: RimModel, parameters: F64) -> F64:
+def fit_bubble(model: RimModel, parameters: F64, steps: int) -> F64:
     """Fit the parameters of a bubble that is not in the model now."""
     linear = linearise(model.cameras, parameters[:3])
     best, damping = parameters.copy(), 1e-2
     value, normal, slope = _normal_equations(model, linear, best)
-    moved = np.inf
-    while moved >= 1e-3:  # larger damping shortens the steps
+    for _ in range(steps):
         try:
             change = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope)
         except np.linalg.LinAlgError:
@@ -233,11 +227,15 @@ def fit_bubble(model: RimModel, parameters: F64) -> F64:
         tried[4] = min(tried[4], tried[3])
         tried[5:] = np.clip(tried[5:], -1.3, 1.3)
         equations = _normal_equations(model, linear, tried)
-        moved = float(np.abs(tried - best).max())
         if equations[0] < value:
+            moved = float(np.abs(tried - best).max())
             best, (value, normal, slope), damping = tried, equations, damping * 0.2
+            if moved < 1e-3:
+                break
         else:
             damping *= 8.0
+            if damping > 1e6:
+                break
     return best
 
 
@@ -247,8 +245,8 @@ def unexplained(model: RimModel, ellipses: F64) -> float:
 
 
 def ellipses_of(model: RimModel, parameters: F64) -> F64:
-    """Compute the images (camera, ..., 5) of bubbles (..., 7), as from `images_of`."""
-    return images_of(linearise(model.cameras, parameters[..., :3]), parameters)
+    """Compute a bubble's images (camera, 5), as from `images_of`."""
+    return images_of(linearise(model.cameras, parameters[:3]), parameters)
 
 
 def misfit(model: RimModel, parameters: F64) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -71,6 +72,10 @@ def turn_grid(grid: Grid, axes: F64) -> Grid:
 
 _PLANE_MM = 0.25  # between positions along a line of sight, at most
 _AGREE = 0.75  # of the cameras that see a position count: those with the most votes
+_SPREAD = 0.8  # px: votes are smoothed, since projections miss the exact pixels of other views
+# of the radius with the most votes: a blurred edge is steepest outside the rim of a small bubble
+_INWARD = 0.93
+_PER_LINE = 3  # positions along each line that are kept
 
 
 @dataclass(frozen=True)
@@ -95,8 +100,12 @@ def find_hypotheses(
     ----------
     least_2d, least_3d : least votes in one view, and least mean votes of a hypothesis.
     """
+    maps = np.empty((len(votes), *votes[0].maps.shape), dtype=np.float32)
+    for smoothed, view in zip(maps, votes, strict=True):
+        for out, votes_of_radius in zip(smoothed, view.maps, strict=True):
+            cv2.GaussianBlur(votes_of_radius, (0, 0), _SPREAD, dst=out)
     parts = [
-        _along_lines(number, cameras, votes, grid, least_2d, least_3d)
+        _along_lines(number, cameras, votes, maps, grid, least_2d, least_3d)
         for number in range(len(cameras))
     ]
     center, radius, vote = map(np.concatenate, zip(*parts, strict=True))
@@ -116,6 +125,7 @@ def _along_lines(
     number: int,
     cameras: Sequence[Camera],
     votes: Sequence[Votes],
+    maps: F32,
     grid: Grid,
     least_2d: float,
     least_3d: float,
@@ -131,22 +141,26 @@ def _along_lines(
     depths = np.arange(z[0] - 1.0, z[-1] + 1.0, min(_PLANE_MM, grid.voxel_mm[2] * 1.25))
     positions = starts + directions * ((depths - starts[..., 2]) / directions[..., 2])[..., None]
     points = positions.reshape(-1, 3)
-    radius = outlines[:, 2:3] / px_per_mm(cameras[number], points).reshape(positions.shape[:2])
+    radius = (
+        _INWARD * outlines[:, 2:3] / px_per_mm(cameras[number], points).reshape(positions.shape[:2])
+    )
     total = np.full((len(cameras), *positions.shape[:2]), np.nan, dtype=np.float32)
     radii = votes[0].radii_px
     first, step = float(np.log(radii[0])), float(np.log(radii[1] / radii[0]))
-    for camera, view, out in zip(cameras, votes, total, strict=True):
+    for camera, view, smoothed, out in zip(cameras, votes, maps, total, strict=True):
         pixels, valid = camera.project(points)
         good = valid & camera.contains(pixels)
-        size = radius.ravel() * px_per_mm(camera, points)
-        places, flat = view.map_pixels(pixels), out.reshape(-1)
-        on_cores(_sample, len(flat), view.maps, places, good, size, first, step, flat)
+        size = radius.ravel() / _INWARD * px_per_mm(camera, points)
+        places, votes = view.map_pixels(pixels), out.reshape(-1)
+        on_cores(_sample, len(votes), smoothed, places, good, size, first, step, votes)
     low, high = np.asarray(grid.low_mm), np.array([axis[-1] for axis in grid.axes_mm])
     across = positions[..., :2]
     inside = ((across >= low[:2] - 1.0) & (across <= high[:2] + 1.0)).all(axis=-1)
     score = np.where(inside, _average_agreeing(total), 0.0)
     before, after = np.roll(score, 1, axis=1), np.roll(score, -1, axis=1)
-    i, j = np.nonzero((score >= least_3d) & (score >= before) & (score > after))
+    peak = (score >= least_3d) & (score >= before) & (score > after)
+    ranked = np.sort(np.where(peak, score, 0.0), axis=1)[:, -_PER_LINE]
+    i, j = np.nonzero(peak & (score >= ranked[:, None]))
     return positions[i, j], radius[i, j], score[i, j].astype(np.float64)
 
 
@@ -209,12 +223,14 @@ def _drop_duplicates(hypotheses: Hypotheses) -> Hypotheses:
     return Hypotheses(center[keep], radius[keep], vote[keep], hypotheses.aspect[keep])
 
 
+_FIRST, _MORE = 8, 6  # steps of a fit
 _ANGLES = np.deg2rad(np.geomspace(6.0, 70.0, 26))  # of the diffuser
 _LIKELY = 0.7  # part of the most votes
 _LARGEST = 32  # likely bubbles fitted for the diffuser's angle
 _SURE = 0.75  # gain of what is fitted first
 _WORTH = 0.25  # part of the least gain below which no fit is tried
 _SMALLER = 0.75  # their radius over its radius
+_SIMPLER = 0.1  # relative misfit allowed for each replaced bubble
 
 
 class Limits(NamedTuple):
@@ -273,13 +289,14 @@ def _fit_diffuser(
 
     Each has an unknown noise, so that the likelihood goes with the logarithm of its misfit.
     """
-    starts = _starts(start)
     likely = np.flatnonzero(start.vote >= _LIKELY * start.vote.max(initial=0.0))
     chosen = likely[np.argsort(-start.radius_mm[likely], kind="stable")][:_LARGEST]
     costs = np.zeros((len(_ANGLES), len(chosen)))
     for row, angle in zip(costs, progress_bar(_ANGLES.tolist(), "find the diffuser"), strict=True):
         model = RimModel(images, np.zeros_like(images), cameras, profile_of(angle))
-        row[:] = [rim_fit.misfit(model, fit_bubble(model, first)) for first in starts[chosen]]
+        row[:] = [
+            rim_fit.misfit(model, fit_bubble(model, _start(start, n), _FIRST)) for n in chosen
+        ]
     seen = np.isfinite(costs).all(axis=0)
     return float(_ANGLES[np.log(costs[:, seen]).sum(axis=1).argmin()])
 
@@ -287,14 +304,14 @@ def _fit_diffuser(
 def _accept(model: RimModel, start: Hypotheses, limits: Limits) -> list[F64]:
     """Fit and judge hypotheses in the order of their gains."""
     order = np.argsort(-start.vote * start.radius_mm, kind="stable")
-    starts, accepted = _starts(start), list[F64]()
-    ellipses = np.ascontiguousarray(rim_fit.ellipses_of(model, starts).swapaxes(0, 1))
+    accepted: list[F64] = []
     # what is sure goes first: a large bubble before the small ones that its rim could be
     for least in (max(_SURE, limits.least_gain), limits.least_gain):
         for n in progress_bar(order.tolist(), "fit bubbles"):
-            if _median_gain(model, ellipses[n]) < _WORTH * least:
+            first = _start(start, n)
+            if _median_gain(model, first) < _WORTH * least:
                 continue
-            fitted = fit_bubble(model, starts[n])
+            fitted = fit_bubble(model, first, _FIRST)
             if _is_bubble(model, fitted, limits._replace(least_gain=least)):
                 darken(model, fitted, 1.0)
                 accepted.append(fitted)
@@ -304,15 +321,16 @@ def _accept(model: RimModel, start: Hypotheses, limits: Limits) -> list[F64]:
 def _unite(model: RimModel, bubbles: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
     """Replace small bubbles along a rim by one that explains images as well."""
     order = np.argsort(-start.radius_mm * start.aspect, kind="stable")
-    for first in progress_bar(list(_starts(start)[order]), "unite bubbles"):
+    for n in progress_bar(order.tolist(), "unite bubbles"):
+        first = _start(start, n)
         parts = _parts(bubbles, first)
         if not parts:
             continue
         ellipses = rim_fit.ellipses_of(model, first)
-        most = rim_fit.unexplained(model, ellipses)
+        most = rim_fit.unexplained(model, ellipses) * (1.0 + _SIMPLER * (len(parts) - 1))
         for part in parts:
             darken(model, bubbles[part], -1.0)
-        whole = fit_bubble(model, first)
+        whole = fit_bubble(model, first, _FIRST)
         if _is_bubble(model, whole, limits) and set(_parts(bubbles, whole)) >= set(parts):
             darken(model, whole, 1.0)
             if rim_fit.unexplained(model, ellipses) < most:
@@ -337,21 +355,20 @@ def _parts(bubbles: list[F64], whole: F64) -> list[int]:
     return np.flatnonzero(inside & (radius <= _SMALLER * outer)).tolist()
 
 
-def _starts(start: Hypotheses) -> F64:
-    return rim_fit.start_of(start.center_mm, start.radius_mm, start.aspect)
+def _start(start: Hypotheses, n: int) -> F64:
+    return rim_fit.start_of(start.center_mm[n], float(start.radius_mm[n]), float(start.aspect[n]))
 
 
 def _is_bubble(model: RimModel, fitted: F64, limits: Limits) -> bool:
     """Return whether a fit has a bubble's size, by volume, and explains enough."""
     radius = float(np.exp((2.0 * fitted[3] + fitted[4]) / 3.0))
-    ellipses = rim_fit.ellipses_of(model, fitted)
     right_size = limits.smallest_mm <= radius <= limits.largest_mm
-    return right_size and _median_gain(model, ellipses) >= limits.least_gain
+    return right_size and _median_gain(model, fitted) >= limits.least_gain
 
 
-def _median_gain(model: RimModel, ellipses: F64) -> float:
+def _median_gain(model: RimModel, parameters: F64) -> float:
     """Compute the median gain over two or more views of a bubble, or -1."""
-    gains = rim_fit.gain(model, ellipses)
+    gains = rim_fit.gain(model, parameters)
     gains = gains[np.isfinite(gains)]
     return float(np.median(gains)) if len(gains) >= 2 else -1.0
 
@@ -361,7 +378,7 @@ def _refine(model: RimModel, bubbles: list[F64], limits: Limits) -> list[F64]:
     out = []
     for parameters in progress_bar(bubbles, "refine bubbles"):
         darken(model, parameters, -1.0)
-        better = fit_bubble(model, parameters)
+        better = fit_bubble(model, parameters, _MORE)
         if _is_bubble(model, better, limits):
             darken(model, better, 1.0)
             out.append(better)
