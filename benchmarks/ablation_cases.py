@@ -1,4 +1,4 @@
-"""Small cases on which `ablation.py` judges rules: of particles' images, tracks and targets.
+"""Small cases on which `ablation.py` judges rules: of particles, tracks, targets and bubbles.
 
 A case makes what a solver sees and the truth of it, once for each seed: `work/ablation` keeps
 them, so that a rule that simulation uses, too, changes the solver's side only. Then it scores a
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
+from benchmarks.ablation_bubbles import BUBBLES
 from benchmarks.ablation_calibration import CALIBRATION
 from benchmarks.ablation_rules import ROOT
 from benchmarks.particle_scores import score_particles
@@ -290,6 +291,7 @@ CASES: dict[str, dict[str, Case]] = {
     "algorithms/particles": PARTICLES,
     "images": PARTICLES,
     "algorithms/calibration": {name: Case(*case) for name, case in CALIBRATION.items()},
+    "algorithms/bubbles": {name: Case(*case) for name, case in BUBBLES.items()},
 }
 
 

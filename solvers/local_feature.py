@@ -30,7 +30,6 @@ from sabench.api import (
     progress_bar,
 )
 
-_FLAT = 0.01  # spread of an empty window: half as large as for minimum images
 _NEAR = 5  # planes from a bubble to a peak that confirms it
 _MARGIN = 3  # voxels around what is looked at
 
@@ -79,9 +78,9 @@ class LocalFeature(BubbleSolver):
         """Detect bubbles by steps 1 to 4 of the section."""
         volume = darkness(case)
         for _ in range(2):
-            attenuate(volume, compute_potential(volume, STEP, _FLAT), STEP)
+            attenuate(volume, compute_potential(volume, STEP), STEP)
         peaks = FeaturePeaks.find(
-            np.log1p(compute_potential(volume, STEP, _FLAT)), self.parameters.least_peak
+            np.log1p(compute_potential(volume, STEP)), self.parameters.least_peak
         )
         bubbles = self._bubbles(volume, peaks, case.grid)
         return _detections(

@@ -20,6 +20,7 @@ from sabench.simulation.rendering import (
 )
 from sabench.simulation.rendering.bubble_stage import Lights, Tank
 from sabench.simulation.rendering.particle_images import (
+    REACH,
     ParticleImages,
     Route,
     image_particles,
@@ -31,8 +32,6 @@ from sabench.utils.arrays import F64, U16
 from sabench.utils.rng import stream
 
 _WAVES = 3  # of the smooth light along either axis
-_REACH = 6.0  # standard deviations of a glint beyond which it is dark
-_LEAST_FLICKER = 0.05  # of the mean: light does not become negative
 
 
 def static_light(background: Background, shape: tuple[int, int], rng: np.random.Generator) -> F64:
@@ -52,7 +51,7 @@ def static_light(background: Background, shape: tuple[int, int], rng: np.random.
     light = np.asarray((background.level or 0.0) * (1.0 + field))
     for _ in range(background.glints):
         middle, sigma = rng.uniform(0.0, shape), rng.uniform(*background.glint_sigma_px)
-        window, square = _around(middle, _REACH * sigma, shape)
+        window, square = _around(middle, REACH * sigma, shape)
         light[window] += background.glint_level * np.exp(-square / (2.0 * sigma**2))
     for _ in range(background.dust):
         middle, level = rng.uniform(0.0, shape), rng.uniform(0.0, background.dust_level)
@@ -66,7 +65,7 @@ def flicker(background: Background, rng: np.random.Generator) -> float:
 
     It is the same for all cameras, since the laser's pulses differ.
     """
-    return max(1.0 + (background.flicker or 0.0) * rng.standard_normal(), _LEAST_FLICKER)
+    return max(1.0 + (background.flicker or 0.0) * rng.standard_normal(), 0.0)
 
 
 def _around(middle: F64, radius: float, shape: tuple[int, int]) -> tuple[tuple[slice, slice], F64]:

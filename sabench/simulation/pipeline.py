@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 from filelock import FileLock, Timeout
 
 from sabench.api import Shown
@@ -33,7 +34,6 @@ from sabench.utils.progress import progress_bar
 from sabench.worlds.bubbles_and_bodies import has_code
 
 _WORKING_BYTES = 40  # per pixel in work: photons, radiance and noise as doubles, then grey values
-_STORED_BYTES = 2  # per pixel on the disk: grey values are not compressed
 
 
 def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies: int = 1) -> None:
@@ -55,7 +55,10 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies:
     if isinstance(world, TargetWorld) and world.lighting is None:  # without images
         return
     disk = next(path for path in (folder, *folder.parents) if path.exists())
-    free, stored = shutil.disk_usage(disk).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
+    free, stored = (
+        shutil.disk_usage(disk).free / 1e6,
+        pixels * pictures * np.dtype(np.uint16).itemsize / 1e6,
+    )
     if stored > free:
         key = "frames" if copies == 1 else "samples"
         raise InputError(

@@ -24,10 +24,8 @@ from sabench.utils.compiled import numba
 _BIN = 0.5  # px: of minor axes in the accumulator
 _OFF = 0.75  # px: of an edge from the outline that it belongs to
 _ALONG = np.cos(np.deg2rad(25.0))  # of an edge's direction and the outline's normal
-_FLANK = 0.9  # of the major semi-axis: edges nearer to its ends do not determine the minor one
 _LEAST_PX = 1.2  # semi-axis
 _FEWEST = 6  # edges of an outline
-_FITS = 2
 
 
 def compute_gradient(image: F32, border: int = cv2.BORDER_REPLICATE) -> tuple[F32, F32]:
@@ -94,8 +92,7 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
         ellipse, part = _vote_for_ellipse(points, largest, least_aspect)
         if part < least_part:
             break
-        for _ in range(_FITS):
-            ellipse = _fit_ellipse(points[_belongs(points, ellipse, _OFF)], ellipse)
+        ellipse = _fit_ellipse(points[_belongs(points, ellipse, _OFF)], ellipse)
         part = _edge_coverage(points, ellipse)
         if part >= least_part and ellipse[3] >= least_aspect * ellipse[2]:
             out.append(np.append(ellipse, part))
@@ -200,7 +197,7 @@ def _minor(points: Any, axis: Any, least_aspect: float) -> float:
     for k in range(len(points)):
         dx, dy = points[k, 0] - x, points[k, 1] - y
         u, w = dx * cosine + dy * sine, dy * cosine - dx * sine
-        if abs(u) > _FLANK * a:
+        if abs(u) >= a:
             continue
         b = abs(w) / np.sqrt(1.0 - (u / a) ** 2)
         if b < max(least_aspect * a - _BIN, _LEAST_PX) or b > a + _BIN:
@@ -223,9 +220,8 @@ def _minor(points: Any, axis: Any, least_aspect: float) -> float:
 
 
 _STEP = 1.13  # between radii
-_WIDTH = 0.6  # px: of the ring
+_WIDTH = 0.6  # px: of the ring, and of the filter before
 _WEAK = 0.04  # transmission per px: a gradient that counts half
-_SMOOTH = 0.6  # px
 
 
 @dataclass(frozen=True)
@@ -253,7 +249,7 @@ def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
         image = cv2.resize(
             image, (image.shape[1], round(image.shape[0] / aspect)), interpolation=cv2.INTER_CUBIC
         )
-    smooth = cv2.GaussianBlur(image, (0, 0), _SMOOTH)
+    smooth = cv2.GaussianBlur(image, (0, 0), _WIDTH)
     right, down = compute_gradient(smooth)
     strength = cv2.magnitude(right, down) + np.float32(_WEAK)
     right /= strength

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_fill_holes, label
 
-from sabench.algorithms.bubbles.backlit_images import transmission
+from sabench.algorithms.bubbles.backlit_images import DIM, transmission
 from sabench.algorithms.bubbles.ellipse_detection import compute_gradient
 from sabench.algorithms.refocus import refocus_log2
 from sabench.api import Observation
@@ -30,9 +30,7 @@ from sabench.utils.threads import on_cores
 WINDOW = 7  # voxels: l_x = l_y
 STACK = 50  # planes of a minimum image
 _SHARP = 2.0  # v of equation 5.15 for a window of unit variance
-_FLAT = 0.02  # spread of an empty window
-_CAP = 60.0  # of the exponent: single precision ends at 88
-_FLOOR = 0.02
+_FLAT = 0.01  # spread of an empty window
 
 
 def darkness(case: Observation) -> F32:
@@ -42,26 +40,26 @@ def darkness(case: Observation) -> F32:
     images is dark wherever any one of them is. In the thesis, a camera with a blocked view must
     not prevent an object from coming into focus.
     """
-    images = np.clip(1.0 - transmission(case), _FLOOR, 1.0)
-    volume = refocus_log2(images, case.cameras, case.grid, _FLOOR, outside=_FLOOR)
+    images = np.clip(1.0 - transmission(case), DIM, 1.0)
+    volume = refocus_log2(images, case.cameras, case.grid, DIM, outside=DIM)
     volume *= 1.0 / 3.0
     return np.asarray(np.exp2(volume, out=volume))
 
 
-def compute_potential(volume: F32, step: int, flat: float = _FLAT) -> F32:
+def compute_potential(volume: F32, step: int) -> F32:
     """Compute the feature potential E of equations 5.15 and 5.16.
 
     Returns (z, window rows, window columns) for windows `step` voxels apart; 0 where the spread is
-    below `flat`.
+    below that of an empty window.
     """
     rows, columns = (max(1, (size - WINDOW) // step + 1) for size in volume.shape[1:])
     out = np.zeros((volume.shape[0], rows, columns), dtype=np.float32)
-    on_cores(_potential, out.shape[1] * out.shape[2], volume, step, flat, out)
+    on_cores(_potential, out.shape[1] * out.shape[2], volume, step, out)
     return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _potential(jobs: slice, volume: Any, step: int, flat: float, out: Any) -> None:
+def _potential(jobs: slice, volume: Any, step: int, out: Any) -> None:
     planes, height, width = volume.shape
     for window in range(jobs.start, jobs.stop):
         i, j = window // out.shape[2], window % out.shape[2]
@@ -75,7 +73,7 @@ def _potential(jobs: slice, volume: Any, step: int, flat: float, out: Any) -> No
                     square += volume[z, y, x] ** 2
         count = planes * (bottom - top) * (right - left)
         spread = np.sqrt(max(square / count - (total / count) ** 2, 0.0))
-        if spread < flat:
+        if spread < _FLAT:
             continue
         for z in range(planes):
             across = along = 0.0
@@ -91,8 +89,8 @@ def _potential(jobs: slice, volume: Any, step: int, flat: float, out: Any) -> No
                         * 0.5
                         / spread
                     )
-                    across += gx * np.exp(min(gx / _SHARP, _CAP))
-                    along += gy * np.exp(min(gy / _SHARP, _CAP))
+                    across += gx * np.exp(gx / _SHARP)
+                    along += gy * np.exp(gy / _SHARP)
             out[z, i, j] = max(across, along)
 
 
@@ -284,7 +282,6 @@ def merge_overlaps(shapes: F64, grid: Grid) -> F64:
 
 STEP = WINDOW // 2  # voxels between windows that overlap by half
 PLANES = 10  # from a group's strongest peak to the others
-_NEAR = 5  # planes on both sides of the darkest one that make a depth
 _OVERLAP = 0.8  # of the larger one's semi-axis: bubbles with nearer centres are one
 _LARGER = 1.5  # times: the smaller one of two is a part of the other
 
@@ -347,8 +344,8 @@ class FeaturePeaks:
 def find_depth(volume: F32, outline: F64, plane: int) -> float:
     """Find the plane, to a fraction, where the rim of an outline is darkest.
 
-    The rim is the part inside the outline within a voxel of it. The plane is the mean of those
-    around the darkest one, weighted with the square of their mean darkness.
+    The rim is the part inside the outline within a voxel of it. The plane is the mean, weighted
+    with the square of their mean darkness.
 
     Parameters
     ----------
@@ -362,9 +359,11 @@ def find_depth(volume: F32, outline: F64, plane: int) -> float:
     if not stack.size:
         return float(plane)
     dark = stack.mean(axis=1, dtype=np.float64)
-    index = np.arange(len(dark))
-    weight = np.where(np.abs(index - dark.argmax()) <= _NEAR, dark**2, 0.0)
-    return first + float(np.average(index, weights=weight)) if weight.any() else float(plane)
+    return (
+        first + float(np.average(np.arange(len(dark)), weights=dark**2))
+        if dark.any()
+        else float(plane)
+    )
 
 
 def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:

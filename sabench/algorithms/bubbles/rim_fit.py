@@ -31,12 +31,11 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.bubbles.backlit_images import LARGEST, REACH, SMALLEST, Profile
+from sabench.algorithms.bubbles.backlit_images import DIM, LARGEST, REACH, SMALLEST, Profile
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 
-DIM = 0.02  # transmission of the darkest model
 _MARGIN = 2.5  # px around a bubble that are looked at
 
 
@@ -184,7 +183,7 @@ def linearise(cameras: Sequence[Camera], position: F64) -> tuple[F64, F64, F64]:
     return position.copy(), pixels[:, 0], np.asarray(jacobians)
 
 
-_STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # differences of the parameters
+_STEP = np.sqrt(np.finfo(np.float64).eps)  # of differences that give derivatives of ellipses
 _PRIOR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.15])  # weight of the tilts: a ball has none
 _ROBUST = 0.12  # transmission: pixels with larger errors count less
 
@@ -263,10 +262,10 @@ def _normal_equations(
     model: RimModel, linear: tuple[F64, F64, F64], parameters: F64
 ) -> tuple[float, F64, F64]:
     """Compute the robust sum of squares and its normal equations."""
-    ellipses = images_of(linear, np.vstack([parameters, parameters + np.diag(_STEPS)]))
+    ellipses = images_of(linear, np.vstack([parameters, parameters + _STEP * np.eye(7)]))
     normal, slope = np.zeros((len(parameters), len(parameters))), np.zeros(len(parameters))
     table, blur_px = model.profile.table, model.profile.blur_px
-    value = _normal(model.images, model.logs, ellipses, table, blur_px, _STEPS, normal, slope)
+    value = _normal(model.images, model.logs, ellipses, table, blur_px, _STEP, normal, slope)
     weight = _PRIOR**2
     value += float(np.sum(weight * parameters**2))
     return value, normal + np.diag(weight), slope + weight * parameters
@@ -342,12 +341,12 @@ def _normal(
     ellipses: Any,
     table: Any,
     blur: float,
-    steps: Any,
+    step: float,
     normal: Any,
     slope: Any,
 ) -> Any:
     """Sum Geman and McClure's function of the residuals, and its normal equations."""
-    count = len(steps)
+    count = len(slope)
     change, partial, moves = np.empty(count), np.empty(5), np.empty((count, 5))
     value = 0.0
     for k in range(len(ellipses)):
@@ -355,7 +354,7 @@ def _normal(
             continue
         for i in range(count):
             for j in range(5):
-                moves[i, j] = (ellipses[k, i + 1, j] - ellipses[k, 0, j]) / steps[i]
+                moves[i, j] = (ellipses[k, i + 1, j] - ellipses[k, 0, j]) / step
         top, bottom, left, right, middle = box_of(ellipses[k, 0], logs.shape[1:], blur)
         for row in range(top, bottom):
             for column in range(left, right):

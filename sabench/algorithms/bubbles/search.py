@@ -76,7 +76,6 @@ _SPREAD = 0.8  # px: votes are smoothed, since projections miss the exact pixels
 # of the radius with the most votes: a blurred edge is steepest outside the rim of a small bubble
 _INWARD = 0.93
 _PER_LINE = 3  # positions along each line that are kept
-_BEYOND = 0.02  # of the volume's depth: how far outside it lines are followed
 
 
 @dataclass(frozen=True)
@@ -139,8 +138,7 @@ def _along_lines(
     if not len(outlines):
         return np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     z = grid.axes_mm[2]
-    margin = _BEYOND * (z[-1] - z[0]) + 1.0
-    depths = np.arange(z[0] - margin, z[-1] + margin, min(_PLANE_MM, grid.voxel_mm[2] * 1.25))
+    depths = np.arange(z[0] - 1.0, z[-1] + 1.0, min(_PLANE_MM, grid.voxel_mm[2] * 1.25))
     positions = starts + directions * ((depths - starts[..., 2]) / directions[..., 2])[..., None]
     points = positions.reshape(-1, 3)
     radius = (
@@ -228,10 +226,9 @@ def _drop_duplicates(hypotheses: Hypotheses) -> Hypotheses:
 _FIRST, _MORE = 8, 6  # steps of a fit
 _ANGLES = np.deg2rad(np.geomspace(6.0, 70.0, 26))  # of the diffuser
 _LIKELY = 0.7  # part of the most votes
-_LARGEST, _CLEAN = 32, 12  # likely bubbles fitted for the diffuser's angle, and those that decide
+_LARGEST = 32  # likely bubbles fitted for the diffuser's angle
 _SURE = 0.75  # gain of what is fitted first
 _WORTH = 0.25  # part of the least gain below which no fit is tried
-_VOTED = 0.5  # votes of a bubble that may replace others
 _SMALLER = 0.75  # their radius over its radius
 _SIMPLER = 0.1  # relative misfit allowed for each replaced bubble
 
@@ -288,7 +285,10 @@ def _fit_diffuser(
     profile_of: Callable[[float], Profile],
     start: Hypotheses,
 ) -> float:
-    """Find the diffuser's half angle that fits the largest likely bubbles."""
+    """Find the diffuser's half angle that fits the largest likely bubbles.
+
+    Each has an unknown noise, so that the likelihood goes with the logarithm of its misfit.
+    """
     likely = np.flatnonzero(start.vote >= _LIKELY * start.vote.max(initial=0.0))
     chosen = likely[np.argsort(-start.radius_mm[likely], kind="stable")][:_LARGEST]
     costs = np.zeros((len(_ANGLES), len(chosen)))
@@ -297,9 +297,8 @@ def _fit_diffuser(
         row[:] = [
             rim_fit.misfit(model, fit_bubble(model, _start(start, n), _FIRST)) for n in chosen
         ]
-    clean = np.argsort(costs.min(axis=0), kind="stable")[:_CLEAN]  # nothing else is near these
-    best = costs[:, clean].sum(axis=1).argmin() if len(chosen) else len(_ANGLES) // 2
-    return float(_ANGLES[best])
+    seen = np.isfinite(costs).all(axis=0)
+    return float(_ANGLES[np.log(costs[:, seen]).sum(axis=1).argmin()])
 
 
 def _accept(model: RimModel, start: Hypotheses, limits: Limits) -> list[F64]:
@@ -322,7 +321,7 @@ def _accept(model: RimModel, start: Hypotheses, limits: Limits) -> list[F64]:
 def _unite(model: RimModel, bubbles: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
     """Replace small bubbles along a rim by one that explains images as well."""
     order = np.argsort(-start.radius_mm * start.aspect, kind="stable")
-    for n in progress_bar(order[start.vote[order] >= _VOTED].tolist(), "unite bubbles"):
+    for n in progress_bar(order.tolist(), "unite bubbles"):
         first = _start(start, n)
         parts = _parts(bubbles, first)
         if not parts:

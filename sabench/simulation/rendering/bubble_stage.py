@@ -181,7 +181,7 @@ class Stager:
 
             rotations = Rotation.from_matrix(bubbles.turn.transpose(0, 2, 1)).as_quat()
             data = np.hstack([centers, bubbles.semi_axes_mm, rotations])
-            shapes["bubbles"] = ellipsoids(mi, data, 1.0)
+            shapes["bubbles"] = ellipsoids(mi, data)
         if self._cloud is not None:
             shapes["balls"] = balls(mi, self._cloud.centers, self._cloud.radii)
         scene = mi.load_dict({"type": "scene", **shapes})

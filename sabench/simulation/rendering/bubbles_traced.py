@@ -21,13 +21,9 @@ from sabench.utils.compiled import numba
 
 # lattices of a pixel, whose passes take turns: the scatter of their means is the error
 STREAMS = 4
-# weight of the neighbours' errors next to `STREAMS` - 1 of a pixel's own: two images of bubbles
-# then differ by a little less than their errors tell
-_AROUND = 0.7
 # passes at least of pixels, and of those around them, with more than the error asked for
 _ROUGH = 16
-# factor of a pixel's passes, at most, from what they tell so far; trials of which get more passes
-_GROWTH, _TRIALS = 2, 4
+_GROWTH = 2  # factor of a pixel's passes, at most, from what they tell so far
 _MOST = 1 << 14  # passes of a pixel at most: a guard
 
 
@@ -63,7 +59,7 @@ class PassTally:
         """Compute standard errors over values, or over `floor` in darker pixels.
 
         A few streams that have found a pixel dark may have missed what its neighbours show: the
-        variance of a pass is mixed with the mean over nine pixels.
+        variance of a pass is mixed with the mean over nine pixels, as one more stream.
         """
         from scipy.ndimage import uniform_filter  # takes long to load
 
@@ -129,12 +125,11 @@ def _fill_errors(
     sums: Any, count: Any, variance: Any, around: Any, floor: float, error: Any
 ) -> None:
     """Fill in the errors (n,) of pixels over their values."""
-    own = sums.shape[1] - 1
     for n in range(len(sums)):
         mean = 0.0
         for k in range(sums.shape[1]):
             mean += sums[n, k]
-        mixed = max((own * variance[n] + _AROUND * around[n]) / (own + _AROUND), 0.0)
+        mixed = max(variance[n] + (around[n] - variance[n]) / sums.shape[1], 0.0)
         error[n] = math.sqrt(mixed / count[n]) / max(mean / count[n], floor)
 
 
@@ -142,21 +137,12 @@ def _fill_errors(
 def _share_out(off: Any, count: Any, counted: Any, error: float) -> Any:
     """Share passes out among pixels.
 
-    Returns (n,) each one's share, and the passes for a share of 1. Pixels that already have more
-    passes than their share keep their errors, and the others get the rest.
+    Returns (n,) each one's share, and the passes for a share of 1.
     """
-    share, factor = np.empty(len(off)), 0.0
+    share = np.empty(len(off))
     for n in range(len(off)):
         share[n] = (off[n] * off[n] * count[n]) ** (1.0 / 3.0)
-    for trial in range(_TRIALS):
-        rest, total = 0.0, 0.0
-        for n in range(len(off)):
-            if counted[n]:
-                more = trial == 0 or factor * share[n] > count[n]
-                rest += error if more else error - off[n]
-                total += share[n] if more else 0.0
-        factor = (total / max(rest, 1e-6 * error)) ** 2
-    return share, factor
+    return share, (share[counted].mean() / error) ** 2
 
 
 @numba.njit(cache=True)
@@ -182,8 +168,6 @@ def _fill_wanted(
 
 
 _RAYS = 4  # of a pixel in one pass
-_AT_ONCE = 1 << 22  # passes of all pixels whose radiances are held
-_SEEDS = 1 << 22
 # of the diffuser: below this the error of a pixel is taken relative to it, not to the pixel
 _DARK = 0.02
 
@@ -229,6 +213,8 @@ def render(
     """
     scale = camera.etendue()
     stage_of = Stager(camera, tank, bubbles, bodies, lights, occluders, images, particles_mm)
+    from sabench.simulation.rendering.camera_rays import WAVEFRONT  # needs the variant
+
     floor = _DARK * stage_of.brightest
     moments = 1  # of the exposure: one for each half pixel of the longest path
     if len(bubbles) and exposure_s and np.any(bubbles.velocity_mm_s):
@@ -245,7 +231,7 @@ def render(
     more = np.full(tally.count.size, STREAMS)
     while more.any():
         chosen = np.flatnonzero(more)
-        for part in in_portions(more[chosen], _AT_ONCE):  # memory does not grow with the image
+        for part in in_portions(more[chosen], WAVEFRONT):  # memory does not grow with the image
             some = chosen[part]
             each = some, tally.count[some], more[some]
             tally.add(some, more[some], _passes(stage_of, camera, *each, delays, seed))
@@ -275,7 +261,7 @@ def _passes(
     rays, total = -(-_RAYS // len(delays)), np.zeros(len(pixels))
     starts = turn * np.uint32(rays)
     for moment, delay in enumerate(delays.tolist()):
-        own = np.array([(seed + k) * len(delays) + moment for k in range(STREAMS)]) % _SEEDS
+        own = np.array([(seed + k) * len(delays) + moment for k in range(STREAMS)])
         seeds = own.astype(np.uint32)[stream]
         total += bubble_integrator.radiance(
             stage_of(delay), camera, stage_of.origin, pixels, rays, seeds, starts

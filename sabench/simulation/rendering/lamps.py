@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.constants import c, h
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Layer, Wall, trace_into_fluid, transmittance
@@ -11,8 +12,6 @@ from sabench.scenes.illumination import Illumination, Lighting
 from sabench.utils.arrays import F64, triple, unit
 from sabench.utils.errors import InputError
 
-PLANCK_J_S = 6.62607015e-34
-LIGHT_M_S = 299792458.0
 _FAR_MM = 1e5
 
 
@@ -27,7 +26,7 @@ def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
     offset = positions_mm - center_mm
     across = offset @ normal - (light.shift_mm or 0.0)
     height = offset @ cross(normal, along)
-    photons = light.pulse_energy_mj / (PLANCK_J_S * LIGHT_M_S / (light.wavelength_nm * 1e-9) * 1e3)
+    photons = light.pulse_energy_mj / (h * c / (light.wavelength_nm * 1e-9) * 1e3)
     return np.asarray(
         photons
         * _profile(light.profile, across, light.thickness_mm)

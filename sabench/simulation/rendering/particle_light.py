@@ -29,7 +29,7 @@ from sabench.worlds.tracers import (
     size_numbers,
 )
 
-_ROWS, _ANGLES = 512, 2048  # sizes and angles of one product of matrices
+_BLOCK = 1024  # sizes, and angles, of one product of matrices
 
 
 def intensities(index: complex, size_parameters: F64, angles_rad: F64) -> tuple[F64, F64]:
@@ -47,11 +47,11 @@ def intensities(index: complex, size_parameters: F64, angles_rad: F64) -> tuple[
     has the terms (a_n + b_n) (pi_n + tau_n), and S1 - S2 those with differences.
     """
     across, along = np.empty((2, len(size_parameters), len(angles_rad)))
-    for top in range(0, len(size_parameters), _ROWS):
-        rows = slice(top, top + _ROWS)
+    for top in range(0, len(size_parameters), _BLOCK):
+        rows = slice(top, top + _BLOCK)
         a, b = scaled_coefficients(index, size_parameters[rows])
-        for left in range(0, len(angles_rad), _ANGLES):
-            columns = slice(left, left + _ANGLES)
+        for left in range(0, len(angles_rad), _BLOCK):
+            columns = slice(left, left + _BLOCK)
             pi, tau = _angular_functions(np.cos(angles_rad[columns]), a.shape[1])
             sums = []  # complex matrices times real ones
             for series, functions in ((a + b, pi + tau), (a - b, pi - tau)):
@@ -134,9 +134,7 @@ def _angular_functions(cosines: F64, count: int) -> tuple[F64, F64]:
 
 
 _PER_LOBE = 12  # angles for the narrowest lobe, of a width of wavelength / diameter
-_MARGIN = 3  # angles beyond the range
 _NODES = 64  # most points across an aperture
-_NONE = -100  # stands for no octave, below all that occur
 
 
 class Scattering:
@@ -181,14 +179,14 @@ class Scattering:
         """
         numbers, out = size_numbers(diameters_mm), np.zeros(len(diameters_mm))
         arrives = np.isfinite(angles_rad) & np.isfinite(half_angles_rad)
-        octaves = np.where(arrives, numbers // PER_OCTAVE, _NONE)
-        for octave in (np.flatnonzero(np.bincount(octaves - _NONE)[1:]) + 1 + _NONE).tolist():
+        octaves = numbers // PER_OCTAVE
+        for octave in np.unique(octaves[arrives]).tolist():
             if octave not in self._octaves:
                 largest = float(lattice_diameters_mm(np.array((octave + 1) * PER_OCTAVE)))
                 step = min(self._wavelength_mm / largest, 1.0) / _PER_LOBE
                 given = self._index, np.pi / self._wavelength_mm, self._angles_rad
                 self._octaves[octave] = _Octave(octave, step, *given)
-            chosen = np.flatnonzero(octaves == octave)
+            chosen = np.flatnonzero(arrives & (octaves == octave))
             angles, half = angles_rad[chosen], half_angles_rad[chosen]
             table = self._octaves[octave]
             out[chosen] = table.average(numbers[chosen], angles, half, in_plane[chosen])
@@ -256,11 +254,8 @@ class _Octave:
         return out
 
     def _multiples(self, reach_rad: tuple[float, float]) -> tuple[int, int]:
-        low, high = reach_rad
-        return (
-            math.floor(low / self._step_rad) - _MARGIN,
-            math.ceil(high / self._step_rad) + _MARGIN,
-        )
+        low, high = (reach / self._step_rad for reach in reach_rad)
+        return math.floor(low) - 1, math.floor(high) + 2  # as cubic interpolation needs
 
     def _intensities(self, numbers: I64, first: int, last: int) -> F32:
         angles = self._step_rad * np.arange(first, last + 1, dtype=np.float64)

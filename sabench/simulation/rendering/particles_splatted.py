@@ -18,7 +18,7 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.images.gaussian_kernels import fill_shares
-from sabench.simulation.rendering.particle_images import ParticleImages, diffraction_px
+from sabench.simulation.rendering.particle_images import REACH, ParticleImages, diffraction_px
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
@@ -61,20 +61,17 @@ def render_with_rings(camera: Camera, wavelength_nm: float, render: Callable[[Ca
     return np.asarray(image.reshape(shape).sum(axis=(1, 3)))
 
 
-# standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
-_REACH = 4.5
-_SHARPEST = 1e-9  # px: anything sharper illuminates a single pixel as well
-_EXACT = 1e-9  # of a particle's light in any pixel: terms below are left out
-_LARGEST_TERM = 0.25  # bounds the product of both factors of a term
+# of a particle's light in any pixel: terms below are left out; and of a pixel: what is sharper
+# illuminates a single one as well
+_EXACT = 1e-9
 _LONGEST = 0.999  # correlation beyond which an ellipse is taken for one that narrow
-_BAND = 64  # rows of a band, at least: threads fill bands that do not touch
 _ANY_ORDER = {"contract", "nsz"}
 
 
 def render(camera: Camera, images: ParticleImages) -> F64:
     """Render photons (rows, columns) of one exposure.
 
-    Light outside a particle's window of `_REACH` standard deviations is left out. Particles with
+    Light outside a particle's window of `REACH` standard deviations is left out. Particles with
     their centre outside the sensor still illuminate the pixels of their window. Pixels are exact to
     2e-8 of each particle's light, and the same for any number of threads.
     """
@@ -97,11 +94,11 @@ def _sort_windows(pixel: Any, photons: Any, spread: Any, rows: int, columns: int
     into the next one at most.
     """
     lit, corners = np.empty(len(pixel), np.int64), np.empty((len(pixel), 2), np.int64)
-    sizes, count, edge, edges = np.empty_like(corners), 0, _BAND, (columns, rows)
+    sizes, count, edge, edges = np.empty_like(corners), 0, 1, (columns, rows)
     for i in range(len(pixel)):
         reached = photons[i] > 0.0
         for axis in range(2):
-            reach, center = _REACH * math.sqrt(spread[i, axis]), pixel[i, axis]
+            reach, center = REACH * math.sqrt(spread[i, axis]), pixel[i, axis]
             reached = reached and center + reach >= -0.5 and center - reach < edges[axis] - 0.5
             if reached:
                 first = math.floor(center - reach + 0.5)
@@ -127,7 +124,7 @@ def _sort_windows(pixel: Any, photons: Any, spread: Any, rows: int, columns: int
         place[band[n]] += 1
         for axis in range(2):
             where[to, axis] = pixel[i, axis]
-            sigma[to, axis] = max(math.sqrt(spread[i, axis]), _SHARPEST)
+            sigma[to, axis] = max(math.sqrt(spread[i, axis]), _EXACT)
             corner[to, axis] = corners[n, axis]
             size[to, axis] = sizes[n, axis]
         light[to] = photons[i]
@@ -206,7 +203,7 @@ def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
 @numba.njit(cache=True)
 def _count_terms(tilt: float) -> int:
     """Count the terms of a series, with the one that has no correlation."""
-    power, n = abs(tilt) * _LARGEST_TERM, 1
+    power, n = abs(tilt), 1
     while power > _EXACT * n:
         power, n = power * abs(tilt), n + 1
     return n

@@ -3,8 +3,8 @@
 Each particle is a Gaussian glow with a width from the camera's diffraction, defocus and the
 particle's disc. Every ray is followed through the dielectric planes (the transmitted direction, its
 Fresnel weight and the n^2 law of radiance are Mitsuba's own) and collects the glow of the particles
-on its way. Where in the image a particle may be seen at all is taken from its projection, with room
-for a pixel; where it is seen in there, the rays decide. Pixels take a regular grid of rays, so the
+on its way. Where in the image a particle may be seen at all is taken from its projection, to
+whole pixels; where it is seen in there, the rays decide. Pixels take a regular grid of rays, so the
 pictures have no Monte Carlo noise: for Gaussians the midpoint rule is nearly exact.
 """
 
@@ -17,15 +17,10 @@ import numpy as np
 from sabench.geometry.camera import Camera
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.occluders import Disc
-from sabench.simulation.rendering.particle_images import ParticleImages
+from sabench.simulation.rendering.particle_images import REACH, ParticleImages
 from sabench.utils import backend
 from sabench.utils.arrays import F64, Bool, in_portions
 from sabench.utils.compiled import numba
-
-_BALL = 4.0  # standard deviations from a particle's centre to its ball's surface
-_REACH = 4.5  # to the end of its light; 2e-5 of it lies outside
-_ROOM, _ROOM_PX = 1.02, 1.0  # around it: half a pixel, and what lens and wall change
-_AT_ONCE = 1 << 24  # particles in pixels that are held
 
 
 def render(
@@ -52,6 +47,7 @@ def render(
         return np.zeros((camera.rows, camera.columns))
     mi = backend.mitsuba()
     from sabench.simulation.rendering import particle_integrator  # needs the variant
+    from sabench.simulation.rendering.camera_rays import WAVEFRONT
 
     # single precision: numbers are small where the particles are
     origin = positions_mm[bright].mean(axis=0)
@@ -63,12 +59,12 @@ def render(
     scene = mi.load_dict({"type": "scene", **walls})
     # pixels that may show particles: first, last columns and rows; a last below the first: none
     pixel, size = images.pixel[bright], np.array([camera.columns, camera.rows])
-    reach = _ROOM * _REACH * np.sqrt(images.spread_px2[bright][:, :2]) + _ROOM_PX
-    low = np.clip(np.ceil(pixel - reach), 0, size).astype(np.int64)
-    high = np.clip(np.floor(pixel + reach), -1, size - 1).astype(np.int64)
+    reach = REACH * np.sqrt(images.spread_px2[bright][:, :2])
+    low = np.clip(np.floor(pixel - reach), 0, size).astype(np.int64)
+    high = np.clip(np.ceil(pixel + reach), -1, size - 1).astype(np.int64)
     image = np.zeros(camera.rows * camera.columns)
     areas = np.maximum(high - low + 1, 0).prod(axis=1)
-    for some in in_portions(areas, _AT_ONCE):  # memory does not grow with what particles light up
+    for some in in_portions(areas, WAVEFRONT):  # memory does not grow with what particles light up
         starts, near = _list_boxes(low, high, some, camera.columns, image.size)
         lit = np.flatnonzero(np.diff(starts))
         given = camera, origin, cloud, len(walls), (lit, starts, near)
@@ -114,21 +110,21 @@ def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F
     a = np.cross(t, unit) / area[:, None]
     b = np.cross(unit, s) / area[:, None]
     # Frobenius norm: at least the largest half axis
-    radii = _BALL * np.linalg.norm(shape_mm[bright], axis=(1, 2))
+    radii = REACH * np.linalg.norm(shape_mm[bright], axis=(1, 2))
     return radii, a, b, images.intensity[bright] / (2.0 * np.pi * area)
 
 
 def balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
     """Describe balls that hold the glow, whatever its axes."""
     quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (len(centers), 1))
-    data = np.hstack([centers, np.repeat(radii[:, None] / _BALL, 3, axis=1), quaternion])
-    return ellipsoids(mi, data, _BALL)
+    data = np.hstack([centers, np.repeat(radii[:, None], 3, axis=1), quaternion])
+    return ellipsoids(mi, data)
 
 
-def ellipsoids(mi: Any, data: F64, extent: float) -> dict[str, Any]:
-    """Describe ellipsoids by centre, semi-axes over `extent` and quaternion (n, 10)."""
+def ellipsoids(mi: Any, data: F64) -> dict[str, Any]:
+    """Describe ellipsoids by centre, semi-axes and quaternion (n, 10)."""
     tensor = mi.TensorXf(data.astype(np.float32))
-    return {"type": "ellipsoids", "data": tensor, "extent": extent, "bsdf": {"type": "diffuse"}}
+    return {"type": "ellipsoids", "data": tensor, "extent": 1.0, "bsdf": {"type": "diffuse"}}
 
 
 def interfaces(mi: Any, origin: F64, camera: Camera) -> dict[str, Any]:

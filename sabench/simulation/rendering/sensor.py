@@ -24,8 +24,6 @@ _LAYER, _SIGN = np.uint64(0xFF), np.uint64(0x100)  # of the bits that uniform nu
 _LAYERS, _EDGE = 256, 3.6541528853610088  # of the ziggurat, and where its tail begins
 _LARGE = 10  # the least mean of which numbers are nearly normal
 _PER_UNIT, _MOST = 8, 64  # tabulated means, and numbers of each
-_CELLS = 64  # of a uniform number, that shorten a search
-_SERIES = 16  # Stirling's errors of smaller numbers are tabulated
 
 
 def _ziggurat() -> tuple[F64, F64]:
@@ -53,20 +51,8 @@ def _distributions() -> F64:
     return table
 
 
-def _stirling_errors() -> F64:
-    """Tabulate log k! - log(sqrt(2 pi k) (k / e)^k); 0 for k = 0, which has none."""
-    errors = np.zeros(_SERIES)
-    for k in range(1, _SERIES):
-        errors[k] = math.lgamma(k + 1) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
-    return errors
-
-
 _EDGES, _HEIGHTS = _ziggurat()
 _DISTRIBUTIONS = _distributions()
-_STARTS = np.stack(
-    [np.searchsorted(row, np.arange(_CELLS) / _CELLS, side="right") for row in _DISTRIBUTIONS]
-).astype(np.uint8)
-_ERRORS = _stirling_errors()
 
 
 @numba.njit(cache=True, inline="always")
@@ -174,7 +160,7 @@ def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
         return _invert(u, mean)
     # from a tabulated distribution, and a number of the rest of the mean
     cell = np.uintp(np.intp(mean * _PER_UNIT))
-    k = np.uintp(_STARTS[cell, np.uintp(np.intp(u * _CELLS))])
+    k = np.uintp(0)
     while u >= _DISTRIBUTIONS[cell, k]:
         k += _ONE
     return float(k) + _invert(_uniform(words[2], words[3]), mean - cell / _PER_UNIT)
@@ -239,8 +225,8 @@ def _chance(k: float, mean: float) -> Any:
     """
     if k == 0.0:
         return math.exp(-mean)
-    if k < _SERIES:
-        error = _ERRORS[np.intp(k)]
+    if k < _LARGE:  # log k! - log(sqrt(2 pi k) (k / e)^k)
+        error = math.lgamma(k + 1.0) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
     else:  # Stirling's
         square = 1.0 / (k * k)
         series = 1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)

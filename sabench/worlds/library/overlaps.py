@@ -4,6 +4,7 @@ Two ellipsoids are tested exactly, by the contact function of Perram and Werthei
 58, 409, 1985).
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -13,26 +14,26 @@ from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
 
-_SLABS = 512  # that a body is cut into along y, so that few faces are tried for each point
-
 
 def contains(body: Solid, points_mm: F64) -> Bool:
     """Find which points (n, 3) a closed body contains.
 
     By the winding number: the signed count of faces that a line along z from the point crosses.
+    The body is cut into slabs along y, so that few faces are tried for each point.
     """
     low, high = body.vertices_mm.min(axis=0), body.vertices_mm.max(axis=0)
     near = np.flatnonzero(((points_mm >= low) & (points_mm <= high)).all(axis=1))
     corners, points = body.vertices_mm[body.faces], points_mm[near]
-    per_mm = _SLABS / max(high[1] - low[1], np.finfo(float).tiny)
+    many = math.isqrt(len(corners))  # about as many as faces lie across a slab
+    per_mm = many / max(high[1] - low[1], np.finfo(float).tiny)
     first, last, slab = (
-        np.clip((y - low[1]) * per_mm, 0, _SLABS - 1).astype(np.int64)
+        np.clip((y - low[1]) * per_mm, 0, many - 1).astype(np.int64)
         for y in (corners[..., 1].min(axis=1), corners[..., 1].max(axis=1), points[:, 1])
     )
     count = last - first + 1
     slabs = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
     order = np.argsort(slabs, kind="stable")
-    starts = np.searchsorted(slabs[order], np.arange(_SLABS + 1))
+    starts = np.searchsorted(slabs[order], np.arange(many + 1))
     faces = np.repeat(np.arange(len(corners)), count)[order]
     winding = np.zeros(len(near), dtype=np.int64)
     on_cores(_wind, len(near), points, corners, faces, starts, slab, winding)
@@ -71,7 +72,8 @@ def _wind(
                     winding[n] += turns
 
 
-_STEPS = 40  # of the golden section: to 4e-9
+# what rounding leaves of the place of a maximum: the golden section ends there
+_NARROWEST = np.sqrt(np.finfo(np.float64).eps)
 
 
 def shapes_of(semi_axes_mm: F64, rotation: F64) -> F64:
@@ -198,7 +200,7 @@ def contact_factor(center: Any, first: Any, other: Any, second: Any) -> Any:
     low, high = 0.0, 1.0
     a, b = high - ratio, ratio
     fa, fb = _at(a, center, first, other, second), _at(b, center, first, other, second)
-    for _ in range(_STEPS):
+    while high - low > _NARROWEST:
         if fa < fb:
             low, a, fa = a, b, fb
             b = low + ratio * (high - low)

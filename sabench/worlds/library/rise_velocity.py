@@ -17,7 +17,6 @@ from sabench.utils.arrays import F64
 _CAPILLARY, _GRAVITY = 2.14, 0.505  # of the wave-like velocity
 _ROUND, _FLATTEST = 1.0 + 1e-4, 3.9  # long over short axis: Moore's Weber number rises up to there
 _AXIS_RATIOS = 1000  # of the tabulated spheroids
-_LEAST_RE = 5.0  # the law gives no drag below
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ def _balance(d: float, liquid: Liquid) -> float:
         drag = 48.0 * g / re * (1.0 + h / float(np.sqrt(re)))
         return drag * speed**2 - 4.0 / 3.0 * liquid.gravity * d
 
-    slowest = _LEAST_RE * liquid.viscosity / d
+    slowest = float(drag_factors(ratios[0])[1]) ** 2 * liquid.viscosity / d  # no drag below
     fastest = float(np.sqrt(numbers[-1] * liquid.tension / (liquid.density * d)))
     if excess(slowest) >= 0.0 or excess(fastest) <= 0.0:
         return float("nan")

@@ -14,7 +14,7 @@ from benchmarks.ablation import verdict, worth
 from benchmarks.ablation_rules import OFF, ROOT, STRUCTURE, Rule, rules_of
 from sabench.images import widths
 
-ROOMS = ("images", "algorithms/particles")
+ROOMS = ("images", "algorithms/particles", "algorithms/bubbles")
 
 
 @pytest.mark.slow

@@ -92,7 +92,7 @@ def test_a_field_that_cannot_be_followed_is_named_before_long() -> None:
 
     with refused("flow trap", "10 s"):
         advect(Trap(None), points(10), 0.0, 10.0, 1e-9)
-    assert len(asked) < 40_000  # its pace tells before the 50,000 allowed are used up
+    assert len(asked) < 40_000  # twice those allowed
 
 
 def test_paths_by_formula_follow_the_velocities() -> None:

@@ -310,7 +310,8 @@ def test_a_black_body_hides_what_is_behind_it_and_a_lamp_shows_it() -> None:
     assert lit.photons[24, 31:33].mean() / FULL == pytest.approx(0.6, rel=0.02)
     near = cv2.dilate(on.astype(np.uint8), np.ones((13, 13), np.uint8)) > 0
     assert not near.all()
-    assert lit.photons[~near].max() == 0.0  # beyond the reach of diffraction
+    # beyond the reach of diffraction, rounding is left
+    assert lit.photons[~near].max() < 1e-9
 
 
 @pytest.mark.slow

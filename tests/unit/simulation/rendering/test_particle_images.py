@@ -8,6 +8,7 @@ from typing import Any
 import miepython
 import numpy as np
 import pytest
+from scipy.constants import c, h
 from scipy.special import j1
 
 from sabench.geometry.camera import Camera, aimed_rotation
@@ -16,7 +17,7 @@ from sabench.scenes import build_rig
 from sabench.simulation import camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering import particles_splatted
-from sabench.simulation.rendering.lamps import LIGHT_M_S, PLANCK_J_S, fluence
+from sabench.simulation.rendering.lamps import fluence
 from sabench.simulation.rendering.particle_images import diffract, diffraction_px, image_particles
 from sabench.simulation.rendering.particle_light import _angle_range, scatterers_of
 from sabench.simulation.rendering.particles_splatted import render_with_rings
@@ -79,7 +80,7 @@ def test_isotropic_particles_scatter_what_falls_on_them() -> None:
     scene, diameter = make_scene(), 0.03
     particle = cloud(np.array([[1.0, 2.0, 30.0]]), diameter)
     images = image_particles(scene, build_rig(scene).cameras[0], particle, None)
-    photons = 20.0 / (PLANCK_J_S * LIGHT_M_S / 532e-9 * 1e3)
+    photons = 20.0 / (h * c / 532e-9 * 1e3)
     fallen = photons / (30.0 * 20.0) * np.pi * diameter**2 / 4.0
     assert images.intensity[0] * 4.0 * np.pi == pytest.approx(fallen, rel=1e-12)
 

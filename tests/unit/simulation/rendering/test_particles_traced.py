@@ -8,7 +8,7 @@ import pytest
 from sabench.geometry.camera import Camera
 from sabench.geometry.lens import Distortion
 from sabench.scenes import build_rig
-from sabench.simulation.rendering import particles_splatted, particles_traced
+from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, I64
@@ -59,7 +59,7 @@ def test_portions_of_a_cloud_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = build_rig(make_scene()).cameras[1]
     positions, images = crowd(camera)
     whole = render(camera, images, positions, 4)
-    monkeypatch.setattr(particles_traced, "_AT_ONCE", 5000)
+    monkeypatch.setattr("sabench.simulation.rendering.camera_rays.WAVEFRONT", 5000)
     np.testing.assert_allclose(render(camera, images, positions, 4), whole, rtol=1e-5)
 
 
