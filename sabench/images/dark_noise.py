@@ -255,7 +255,8 @@ def _fit_quantiles(values: I64, black: int, skewness: float) -> tuple[float, flo
     if len(levels) == 1:
         return float(least), 0.0
     share = np.cumsum(counts[levels])[:-1] / len(values)
-    border, z = least + 0.5 * (levels[1:] + levels[:-1]), ndtri(share)
+    z: F64 = ndtri(share)
+    border: F64 = (least + 0.5 * (levels[1:] + levels[:-1])).astype(np.float64)
     if len(z) == 1:  # the more frequent value is the mean
         middle = least + levels[0 if share[0] > 0.5 else 1]
         return float(middle), abs(float((border[0] - middle) / (z[0] or 1.0)))
