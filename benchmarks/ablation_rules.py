@@ -28,8 +28,6 @@ STRUCTURE = {
     "algorithms.particles.candidate_search._DIAGONALS",
     "algorithms.particles.candidate_search._DARK",
     "images.widths.PIXEL",
-    "images.peaks._NEIGHBOURS",
-    "images.preprocessing.WHITE",
     "images.statistics.DEPTHS",
     "images.statistics.SCALED_WHITE",
 }
