@@ -34,11 +34,8 @@ STRUCTURE = {
     "algorithms.calibration.plane_parallax._FEWEST",
     "algorithms.calibration.resection._QUARTERS",
     "images.widths.PIXEL",
-    "images.peaks._NEIGHBOURS",
-    "images.preprocessing.WHITE",
     "images.statistics.DEPTHS",
     "images.statistics.SCALED_WHITE",
-    "images.dark_noise._GOLDEN",
 }
 
 # a rule's value, or the body of a function, that switches it off
@@ -84,10 +81,10 @@ OFF = {
     "images.background.find_glints": "return np.zeros(image.shape, dtype=np.bool_)",
     "images.background.clear_images": "return images, flaws",
     "images.widths._without_brightest": "return valid",
-    "images.widths._light_of_peaks": "return math.inf",
-    "images.dark_noise._measure_dense": "return None",
+    "images.dark_noise._show_particles": "return False",
     "images.dark_noise._leave_out_bright": "return noise",
-    "images.dark_noise._shape": "return 0.0, 1.0, 0.0",
+    "images.dark_noise._skewness": "return 0.0",
+    "images.widths._light_of_peaks": "return math.inf",
     "images.repair.find_points": "return np.zeros(grey.shape, dtype=np.bool_)",
     "images.repair.find_reflections": "return np.zeros(grey.shape, dtype=np.bool_)",
 }

@@ -329,7 +329,7 @@ BUGS = (
     Bug(
         "the brightest pixel alone sets the brightness scale",
         "sabench/images/levels.py",
-        "min(levels[-1], _PEAKS * peak) if peak else levels[-1]",
+        "min(levels[-1], BRIGHT * peak) if peak else levels[-1]",
         "levels[-1]",
         tests="tests/unit/images/test_repair.py",
     ),

@@ -1,34 +1,31 @@
 """Dark level and noise of images by tiles, and thresholds of false alarms.
 
 Model. Where no particle is, a grey value is level + noise, rounded to grey values and cut at black.
-Level and noise change slowly over the image; the noise's distribution is a gamma distribution with
-one skewness, that of few photons (Pearson's type III), which is normal without any.
+Level and noise change slowly over the image. The noise has a gamma distribution with one skewness,
+that of few photons (Pearson's type III), which is normal without any.
 
 Estimate. Particles only add light, so that the darker part of a tile's grey values is noise. The
-borders between whole grey values are compared with a normal distribution, quantile by quantile
-(M. B. Wilk and R. Gnanadesikan, Biometrika 55, 1-17, 1968): a line through border over normal
-deviate has the level where the deviate is 0, and the noise as slope. Rounding changes nothing, and
-what black hides is left out. The level comes from tiles of 32 pixels; the noise, and what the level
-lacks, from tiles of 64; the skewness from all pixels less their level, over their noise (`_shape`).
+borders between whole grey values are compared with the noise's distribution, quantile by quantile
+(M. B. Wilk and R. Gnanadesikan, Biometrika 55, 1-17, 1968): a line through border over deviate has
+the level where the deviate is 0, and the noise as slope. Rounding changes nothing, and what black
+hides is left out. A tile's noise is the median of those around it; a tile with more shows light.
+The skewness is the one whose line is straightest, for all pixels less their level, over their
+noise.
 
-Which pixels. `measure_dark_noise` begins with the pixels that have the darkest surroundings, 30 %
-of each tile. If these show much more than 10, 3 or 1 % of them do, light covers the image: the
-largest share that agrees with the darkest is taken, unless the bright pixels look like a
-background (`_show_particles`). Otherwise bright pixels are left out with a square of 7 pixels
-around each, the others measured again, and so on.
+Which pixels. Those with the darkest surroundings, 30 % of each tile, come first, and 10, 3 and 1 %
+of larger tiles. If they show one noise, bright pixels are left out with a square around each, the
+others measured again, and so on. If the darker ones show less noise, light covers the others: of
+dense particles, if many pixels are brighter than the darkest ones' noise and neighbours are alike.
+Then the largest share counts that shows as little noise as the smallest. Else noise is smoothed, or
+the background has dark parts: bright pixels are left out, beginning with all.
 
-Stopping. When fewer than 2 % of the pixels go, when the noise no longer falls (the first time: when
-it rises by half, as from dim particles where black cuts the noise), or when fewer than 5 % remain.
+Stopping. When the noise no longer falls, or when few pixels remain.
 
-Threshold. The grey value that the distribution exceeds with the stated probability, plus half a
-grey value for the rounding: an upper bound of false alarms per pixel.
-
-Other modules measure one noise of an image, faster and coarser, and thresholds depend on
-their digits: `repair.above_background` (median distance of the darker half to the median of 3 x 3
-pixels), `widths.noise_below_black` (values below black, where the background is subtracted), and
-`interop.image_statistics.background_noise` (median distance of dark pixels to the median).
+Threshold. The grey value that noise exceeds with the stated probability; rounding adds its
+variance. `repair.above_background` measures one noise of an image, faster and coarser.
 """
 
+import functools
 import itertools
 from dataclasses import dataclass
 
@@ -39,41 +36,18 @@ from sabench.utils.errors import InputError
 
 FALSE_ALARMS = 1e-5  # per pixel
 
-_TILE_PX = 32  # edge of tiles for the dark level: many pixels, without much change of it
-_GROUP = 2  # tiles for the noise have so many times that edge
-_FEW = 64  # too few pixels of a tile
-_LOW = 0.02  # share of a tile's pixels, the darkest ones, that does not count
-_HIGH_Z = 0.25  # largest normal deviate of pixels that count
-# how many normal deviates they span at least: few while there are particles among them
-_NARROW_Z, _WIDE_Z = 0.5, 1.3
-_OUTLIER = 1.5  # times the noise around a tile: what it shows is something else
-_FINEST = 0.15  # grey values: least noise that rounding leaves visible
-_ROUNDS = 4  # of leaving out particles
-_BRIGHT = 2.0  # times the threshold above the dark level: particles
-_HALO_PX = 7  # edge of the square around each bright pixel that is left out
+_TILE_PX = 32  # edge of tiles: many pixels, without much change of the level
+_FEW = 64  # too few pixels
+_LOW = 0.05  # of the pixels, the darkest ones, do not count; if more are black, black cuts noise
+_HIGH_Z, _SPAN_Z = 0.25, 1.0  # largest normal deviate of pixels that count, and least range of it
+_SHARES = 0.3, 0.1, 0.03, 0.01  # of the pixels, those with the darkest surroundings
 _AROUND_PX = 5  # edge of a pixel's surroundings
-_CALM = 0.3  # of a tile's pixels, those with the darkest surroundings
-# where light covers most of an image, fewer of them, among which are fewer particles
-_CALMER = (0.1, 0.03, 0.01)
-_FEW_CALM = 500  # too few pixels of all images
-_COVERED = 0.5  # of the pixels are above the threshold of the calmest ones
-# of particles, in pixels less their surroundings: skewness, and share of neighbours with one sign
-_SKEWED, _SAME_SIGN = 0.05, 0.55
-_LIGHT = 1.3  # times the distance of threshold and level of the calmest: light of particles
-_SETTLED = 0.98  # of the pixels remain: those left out change nothing
-_LEAST_SHARE = 0.05  # of the pixels: if fewer remain, the search for darker ones ends
+_LIGHT = 1.3  # times as much noise as calmer pixels or tiles around show: light
+_SAME_SIGN = (
+    0.53  # of neighbours, less their surroundings: 0.55 to 0.67 of particles, 0.51 of noise
+)
 _SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles for the skewness, as normal deviates
-_BRIGHT_Z = np.linspace(0.3, 1.2, 10)  # those that hold where the darker ones are cut
-_ODD_SKEW = 0.6  # of fewer than three photons a pixel: the darker part has been cut
-_TOP_SHARE, _TOP_Z = 0.97725, 2.0  # a quantile beyond them
-_BEND = 1.4  # times as far as on a line: there is light of particles
-_PARTICLES = 8.0  # times the scale of the darker part: particles, and no noise
-_SKEW_STEPS = 1.0  # noise in grey values below which the shape of its distribution is not seen
-_CUT = 0.05  # of the pixels are black: half of the distribution is not seen
-_CUT_TILE = 0.1  # the same for a tile
 _MOST_SKEW = 2.0
-_LOWEST = 3.0  # standard deviations of the dark level below zero, where black hides nearly all
-_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -99,26 +73,31 @@ class DarkNoise:
 
         The probability is from 0 to 0.5.
 
-        The distribution is a gamma distribution with the noise's skewness (Pearson's type III),
-        which is normal without any, rounded to grey values. Local maxima of noise are fewer than
-        pixels above the threshold: the probability is an upper bound of false peaks per pixel,
-        nearly reached where neighbours are independent.
+        Local maxima of noise are fewer than pixels above the threshold: where neighbours are
+        independent, the probability is nearly that of a false peak.
         """
         if not 0.0 < false_alarms < 0.5:
             raise InputError(
                 f"false_alarms: expected a probability between 0 and 0.5, got {false_alarms:g}"
             )
-        away = self.noise * _deviates(self.skewness, false_alarms)
-        return np.asarray(self.level + away + np.float32(0.5 * self.step), dtype=np.float32)
+        rounded = np.sqrt(self.noise**2 + np.float32(self.step**2 / 12.0))
+        grid = np.linspace(0.0, _MOST_SKEW, 61)
+        away = rounded * np.interp(
+            self.skewness, grid, [-_deviates(-skewness, false_alarms) for skewness in grid]
+        )
+        return np.asarray(self.level + away, dtype=np.float32)
+
+    @functools.cached_property
+    def reach(self) -> float:
+        """Typical distance of the usual threshold and the level."""
+        return float(np.median(self.threshold() - self.level))
 
 
 def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
     """Measure the dark level and noise of images (frame, row, column) of one camera.
 
-    Bright pixels and their surroundings are left out, again and again, as long as darker ones
-    remain. If particles are too dense for that, the pixels with the darkest surroundings are
-    measured, which show noise up to about one particle on two pixels. Only known pixels, of the
-    same shape or (row, column), count.
+    Only known pixels, of the same shape or (row, column), count. Noise is measured up to about one
+    particle on two pixels.
     """
     import cv2  # takes long to load
 
@@ -130,9 +109,16 @@ def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
     # surroundings is distributed as that of all
     grey, size = images.astype(np.float32), (_AROUND_PX, _AROUND_PX)
     around = np.stack([cv2.boxFilter(frame, -1, size, normalize=False) - frame for frame in grey])
-    calm = _measure_calm(images, counts, around, step, _CALM)
-    dense = _measure_dense(images, counts, around, step, calm)
-    return _leave_out_bright(images, counts, step, calm) if dense is None else dense
+    known = counts.sum()
+    shares = [share for share in _SHARES if share * known >= _FEW] or _SHARES[:1]
+    calm = [_measure_calm(images, counts, around, step, share) for share in shares]
+    if calm[0].reach <= _LIGHT * min(noise.reach for noise in calm):
+        return _leave_out_bright(images, counts, step, calm[0])
+    bright = counts & (images > calm[-1].threshold())
+    rest: F32 = np.asarray(grey - around / (_AROUND_PX**2 - 1), dtype=np.float32)
+    if bright.sum() > _SHARES[0] * known and _show_particles(rest, bright):
+        return next(noise for noise in calm if noise.reach <= _LIGHT * calm[-1].reach)
+    return _leave_out_bright(images, counts, step, _measure(images, counts, step, _TILE_PX))
 
 
 def noise_cut_by_black(grey: U16, valid: Bool, black_dn: float) -> float:
@@ -141,90 +127,47 @@ def noise_cut_by_black(grey: U16, valid: Bool, black_dn: float) -> float:
     It is 0 if the noise shows below black.
     """
     least = grey[valid].min() if valid.any() else 0
-    if least < black_dn or np.mean(grey[valid] == least) <= _CUT:
+    if least < black_dn or np.mean(grey[valid] == least) <= _LOW:
         return 0.0
     return float(np.median(measure_dark_noise(grey[None], valid).noise))
 
 
 def _measure_calm(images: U16, counts: Bool, around: F32, step: float, share: float) -> DarkNoise:
-    edge = _TILE_PX * (_CALM / share) ** 0.5
-    calm = counts.copy()
+    edge, calm = _TILE_PX * (_SHARES[0] / share) ** 0.5, counts.copy()
     for light, marks in zip(around, calm, strict=True):
         for tile in _tiles(light.shape, edge).values():
             if marks[tile].any():
                 marks[tile] &= light[tile] <= np.quantile(light[tile][marks[tile]], share)
-    return _measure(images, calm, step, _NARROW_Z, edge)
-
-
-def _measure_dense(
-    images: U16, counts: Bool, around: F32, step: float, usual: DarkNoise
-) -> DarkNoise | None:
-    """Measure as many calm pixels as show no light, if it covers most others.
-
-    None if it does not, if it is a background, or if the usual share of the pixels is calm enough.
-    A background may have dark, calm bodies before it, but its pixels are spread evenly about those
-    around them, while particles are brighter than what is around them.
-    """
-    shares = [share for share in _CALMER if share * counts.sum() >= _FEW_CALM]
-    if not shares:
-        return None
-    least = _measure_calm(images, counts, around, step, shares[-1])
-    bright = counts & (images > least.threshold())
-    covered = bright.sum() >= _COVERED * counts.sum()
-    if not covered or not _show_particles(images, around, bright, step):
-        return None
-    more = (_measure_calm(images, counts, around, step, share) for share in shares[:-1])
-    far = float(np.median(least.threshold() - least.level))
-    for calm in (usual, *more):
-        reach = float(np.median(calm.threshold() - calm.level))
-        if reach <= _LIGHT * far and far <= _LIGHT * reach:
-            return None if calm is usual else calm
-    return least
+    return _measure(images, calm, step, edge)
 
 
 def _leave_out_bright(images: U16, counts: Bool, step: float, noise: DarkNoise) -> DarkNoise:
-    """Measure pixels far from bright ones, which are left out again and again."""
+    """Measure pixels far from bright ones, as long as the noise falls."""
     import cv2  # takes long to load
 
-    dark, halo = counts, np.ones((_HALO_PX, _HALO_PX), np.uint8)
-    for round_ in range(_ROUNDS):
-        limit = noise.level + np.float32(_BRIGHT) * (noise.threshold() - noise.level)
-        bright = (images >= limit).astype(np.uint8)
-        darker = dark & ~np.stack([cv2.dilate(frame, halo) > 0 for frame in bright])
-        if darker.sum() < _LEAST_SHARE * counts.sum():
-            break
-        now = _measure(images, darker, step, _WIDE_Z)
-        rise = np.median(now.threshold() - now.level) / np.median(noise.threshold() - noise.level)
-        if rise >= (1.0 if round_ else _OUTLIER):
-            break
-        noise = now
-        if darker.sum() > _SETTLED * dark.sum():
-            break
-        dark = darker
-    return noise
+    halo, most = np.ones((_AROUND_PX, _AROUND_PX), np.uint8), _LIGHT
+    while True:
+        bright = (images >= noise.threshold()).astype(np.uint8)
+        dark = counts & ~np.stack([cv2.dilate(frame, halo) > 0 for frame in bright])
+        if dark.mean() < _LOW:
+            return noise
+        now = _measure(images, dark, step, _TILE_PX, noise)
+        if now.reach >= most * noise.reach:
+            return noise
+        noise, most = now, 1.0
 
 
-def _show_particles(images: U16, around: F32, bright: Bool, step: float) -> bool:
+def _show_particles(rest: F32, bright: Bool) -> bool:
     """Return whether bright pixels look like dense particles, not a background.
 
-    Compared with their surroundings, those of particles are skewed (by quartiles: A. L. Bowley,
-    Elements of Statistics, 1901), and neighbours often have the same sign (N. Blomqvist, Ann. Math.
-    Statist. 21, 593-600, 1950). Photon noise has independent signs, smoothed noise is not skewed.
-    Tails that edges of bodies make change neither.
+    Less their surroundings, neighbours often have the same sign (N. Blomqvist, Ann. Math. Statist.
+    21, 593-600, 1950); those of photon noise are independent.
     """
-    rest = images - around / np.float32(_AROUND_PX**2 - 1)
-    values = _dithered(rest[bright], step)
-    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
-    skewness = (low + high - 2.0 * middle) / max(high - low, 1e-9)
     both = bright[:, :, 1:] & bright[:, :, :-1]
-    above = rest > middle
-    same = np.mean((above[:, :, 1:] == above[:, :, :-1])[both])
-    return bool(skewness > _SKEWED and same > _SAME_SIGN)
-
-
-def _dithered(values: F64 | F32, width: float) -> F64:
-    """Spread whole numbers evenly over a width around them."""
-    return np.asarray(values + width * (np.modf(_GOLDEN * np.arange(len(values)))[0] - 0.5))
+    if not both.any():
+        return False
+    above = rest > np.median(rest[bright])
+    return bool(np.mean((above[:, :, 1:] == above[:, :, :-1])[both]) > _SAME_SIGN)
 
 
 def _grey_step(values: U16) -> float:
@@ -237,53 +180,56 @@ def _grey_step(values: U16) -> float:
 
 
 def _measure(
-    images: U16, counts: Bool, step: float, span: float, edge: float = _TILE_PX
+    images: U16, counts: Bool, step: float, edge: float, before: DarkNoise | None = None
 ) -> DarkNoise:
-    """Measure the level by tiles, and the noise of the rest by larger ones."""
-    size = images.shape[1:]
-    black = np.zeros(size, dtype=np.int64)
-    level = _spread(_by_tile(images, counts, edge, black, span)[0], size)
+    """Measure noise by tiles, less a level that was measured before."""
+    if before is None:
+        nothing = np.zeros(images.shape[1:], dtype=np.int64)
+        level, noise = _by_tile(images, counts, nothing, edge, 0.0)
+    else:
+        level, noise = before.level, before.noise
+    skewness = _skewness(images, counts, level, noise, step)
     whole = (step * np.rint(level / step)).astype(np.int64)
-    rest = images - whole
-    offset, noise = _by_tile(rest, counts, _GROUP * edge, -whole, span)
-    noise = np.maximum(noise, _FINEST * step)
-    least, most = float(noise.min()), float(noise.max())
-    wide = [_spread(offset, size), np.clip(_spread(noise, size), least, most)]
-    shift, scale, skewness = _shape(images, rest, counts, wide[0], wide[1], step)
-    deviation = np.maximum(scale * wide[1], _FINEST * step)
-    level = np.maximum(whole + wide[0] + shift * wide[1], -_LOWEST * deviation)
+    level, noise = _by_tile(images, counts, whole, edge, skewness)
     # few photons: the third moment grows as the variance
-    skewed = np.minimum(skewness * float(np.median(deviation)) / deviation, _MOST_SKEW)
-    to = np.float32
-    return DarkNoise(level.astype(to), deviation.astype(to), skewed.astype(to), step)
+    skewed = abs(skewness) * np.median(noise) / np.maximum(noise, np.finfo(np.float32).tiny)
+    return DarkNoise(level, noise, np.minimum(skewed, np.float32(_MOST_SKEW)), step)
 
 
 def _by_tile(
-    values: I64 | U16, counts: Bool, edge: float, black: I64, span: float
-) -> tuple[F64, F64]:
-    """Measure mean and standard deviation of each tile.
+    images: U16, counts: Bool, whole: I64, edge: float, skewness: float
+) -> tuple[F32, F32]:
+    """Measure level and noise (row, column) of images less whole numbers, by tiles.
 
-    Tiles with few pixels, or with unusual noise, get those of the nearest other one. Black (row,
-    column) is the least of all possible values.
+    Tiles with few pixels, and the levels of those with much more noise than those around, are the
+    nearest other tile's.
     """
     from scipy.ndimage import median_filter
 
-    tiles = _tiles(values.shape[1:], edge)
-    mean, deviation = (np.full(np.add(max(tiles), 1), np.nan) for _ in range(2))
+    rest, size = images - whole, whole.shape
+    tiles = _tiles(size, edge)
+    mean, deviation = np.full((2, *np.add(max(tiles), 1)), np.nan)
     for number, where in tiles.items():
-        sample = values[:, *where][counts[:, *where]]
+        sample = rest[:, *where][counts[:, *where]]
         if len(sample) >= _FEW:
-            mean[number], deviation[number] = _fit_quantiles(sample, int(black[where].max()), span)
+            black = -int(whole[where].min())
+            mean[number], deviation[number] = _fit_quantiles(sample, black, skewness)
     if np.isnan(mean).all():
-        sample = values[counts] if counts.any() else values.ravel()
-        mean[:], deviation[:] = _fit_quantiles(sample, int(black.max()), span)
-    mean, deviation = _fill(mean), _fill(deviation)
-    around = median_filter(deviation, 3, mode="nearest")
-    far = np.maximum(deviation, around) > _OUTLIER * np.minimum(deviation, around)
-    far &= np.abs(deviation - around) > _FINEST * _OUTLIER
-    if not far.all():
-        mean[far] = deviation[far] = np.nan
-    return _fill(mean), _fill(deviation)
+        sample = rest[counts] if counts.any() else rest.ravel()
+        mean[:], deviation[:] = _fit_quantiles(sample, -int(whole.min()), skewness)
+    deviation = _fill(deviation)
+    noise = median_filter(deviation, 3, mode="nearest")
+    mean[deviation > _LIGHT * noise] = np.nan
+    spread = np.clip(_spread(noise, size), noise.min(), noise.max())
+    return (whole + _spread(_fill(mean), size)).astype(np.float32), spread.astype(np.float32)
+
+
+def _fill(tiles: F64) -> F64:
+    """Give tiles without a value that of the nearest other one."""
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(np.isnan(tiles), return_distances=False, return_indices=True)
+    return np.asarray(tiles[tuple(nearest)])
 
 
 def _tiles(size: tuple[int, ...], edge: float) -> dict[tuple[int, int], tuple[slice, slice]]:
@@ -295,111 +241,86 @@ def _tiles(size: tuple[int, ...], edge: float) -> dict[tuple[int, int], tuple[sl
     return {(i, j): (a, b) for i, a in enumerate(down) for j, b in enumerate(across)}
 
 
-def _fill(tiles: F64) -> F64:
-    from scipy.ndimage import distance_transform_edt
+def _fit_quantiles(values: I64, black: int, skewness: float) -> tuple[float, float]:
+    """Fit noise of a skewness to the darker part of whole numbers.
 
-    missing = np.isnan(tiles)
-    if not missing.any():
-        return tiles
-    nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
-    return np.asarray(tiles[tuple(nearest)])
-
-
-def _fit_quantiles(values: I64 | U16, black: int, span: float) -> tuple[float, float]:
-    """Fit a normal distribution to the darker part of whole numbers.
-
-    A line is fitted to the borders between them over the normal deviates of the shares below. Where
-    noise is cut at black, borders farther up count, too, and none below it.
+    A line is fitted to the borders between them over the deviates of the shares below. Where noise
+    is cut at black, borders farther up count, too, and none below it.
     """
     from scipy.special import ndtri
 
     least = int(values.min())
-    counts = np.bincount(values.astype(np.int64) - least)
+    counts = np.bincount(values - least)
     levels = np.flatnonzero(counts)
     if len(levels) == 1:
         return float(least), 0.0
     share = np.cumsum(counts[levels])[:-1] / len(values)
-    border, z = least + 0.5 * (levels[1:] + levels[:-1]), ndtri(share)
+    z: F64 = ndtri(share)
+    border: F64 = (least + 0.5 * (levels[1:] + levels[:-1])).astype(np.float64)
     if len(z) == 1:  # the more frequent value is the mean
         middle = least + levels[0 if share[0] > 0.5 else 1]
         return float(middle), abs(float((border[0] - middle) / (z[0] or 1.0)))
     first = max(int(np.searchsorted(share, _LOW)), int(np.searchsorted(border, black)))
     first = min(first, len(share) - 2)
-    high = z[first] + span if share[0] > _CUT_TILE else max(_HIGH_Z, z[first] + span)
-    last = int(np.searchsorted(z, high, side="right"))
+    last = int(np.searchsorted(z, max(_HIGH_Z, z[first] + _SPAN_Z), side="right"))
     used = np.s_[first : max(last, first + 2)]
-    share, border, z = share[used], border[used], z[used]
-    weight = np.exp(-z * z) / (share * (1.0 - share))
-    center, middle = np.average(z, weights=weight), np.average(border, weights=weight)
-    slope = np.sum(weight * (z - center) * (border - middle)) / np.sum(weight * (z - center) ** 2)
-    return float(middle - slope * center), float(slope)
+    level, noise, _ = _fit_line(border[used], share[used], skewness)
+    return level, noise
 
 
-def _shape(
-    images: U16, rest: I64, counts: Bool, offset: F64, noise: F64, step: float
-) -> tuple[float, float, float]:
-    """Fit shift, scale and skewness to the distribution of all tiles.
+def _fit_line(quantiles: F64, share: F64, skewness: float) -> tuple[float, float, float]:
+    """Fit level and noise to quantiles; return the mean square of what is left, too."""
+    from scipy.special import ndtri
 
-    Quantiles of a skewed distribution follow a parabola over the normal deviates (E. A. Cornish and
-    R. A. Fisher, Rev. Inst. Int. Stat. 5, 307-320, 1938); those of the darker part are fitted. A
-    longer tail to the dark counts as one to the bright. If black cuts the darker part, or if it was
-    cut and then smoothed, a line through brighter quantiles is used, unless these bend upwards as
-    those of particles do. Pixels are spread over their grey value.
+    weight = np.exp(-(ndtri(share) ** 2)) / (share * (1.0 - share))
+    weight /= weight.sum()
+    z = _deviates(skewness, share)
+    center, middle = weight @ z, weight @ quantiles
+    noise = weight @ ((z - center) * (quantiles - middle)) / (weight @ (z - center) ** 2)
+    rest = quantiles - middle - noise * (z - center)
+    return float(middle - noise * center), float(noise), float(weight @ rest**2)
+
+
+def _skewness(images: U16, counts: Bool, level: F32, noise: F32, step: float) -> float:
+    """Fit the skewness of all dark pixels to their quantiles.
+
+    It is 0 where black cuts them, or where the noise is less than a grey value. Pixels are spread
+    over theirs.
     """
-    values = ((rest - offset) / noise)[counts]
-    if len(values) < _FEW or np.median(noise) < _SKEW_STEPS * step:
-        return 0.0, 1.0, 0.0
-    values = _dithered(values, step / float(np.median(noise)))
-    fit = _fit_parabola(values, _SKEW_Z, 2)
-    skewness = abs(6.0 * fit[2] / fit[1]) if fit[1] > 0.0 else np.inf
-    cut = np.mean(images[counts] == images[counts].min()) > _CUT
-    if not cut and skewness < _ODD_SKEW:
-        return fit[0], fit[1], skewness
-    line = _fit_parabola(values, _BRIGHT_Z, 1)
-    straight = np.quantile(values, _TOP_SHARE) < line[0] + _BEND * line[1] * _TOP_Z
-    options = [(0.0, 1.0, 0.0)] if cut else [(fit[0], max(fit[1], 0.1), min(skewness, _MOST_SKEW))]
-    if straight and line[1] < _PARTICLES:
-        options.append((line[0], line[1], 0.0))
-    # the one with the noise that reaches farthest at the usual probability
-    far = _deviates(np.array([skew for *_, skew in options], dtype=np.float32), FALSE_ALARMS)
-    reach = [shift + scale * float(z) for (shift, scale, _), z in zip(options, far, strict=True)]
-    return options[int(np.argmax(reach))]
-
-
-def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:
-    """Fit quantiles by 1, z and z2 - 1 of normal deviates, up to a degree."""
+    from scipy.optimize import minimize_scalar
     from scipy.special import ndtr
 
-    share = ndtr(z)
-    weight = np.exp(-0.5 * z**2) / np.sqrt(share * (1.0 - share))
-    terms = np.stack([np.ones_like(z), z, z**2 - 1.0][: degree + 1], axis=1)
-    quantiles = np.quantile(values, share)
-    fit = np.linalg.lstsq(weight[:, None] * terms, weight * quantiles, rcond=None)[0]
-    return [float(coefficient) for coefficient in fit]
+    dark = images[counts]
+    if len(dark) < _FEW or np.mean(dark == dark.min()) > _LOW or noise.min() < step:
+        return 0.0
+    spread = dark + step * (np.random.default_rng(0).random(len(dark)) - 0.5)
+    of = np.nonzero(counts)[1:]
+    share = ndtr(_SKEW_Z)
+    quantiles: F64 = np.quantile((spread - level[of]) / noise[of], share).astype(np.float64)
+    bounds = -_MOST_SKEW, _MOST_SKEW
+    return float(minimize_scalar(lambda one: _fit_line(quantiles, share, one)[2], bounds=bounds).x)
 
 
-def _deviates(skewness: F32, probability: float) -> F64:
-    """Compute how many deviations skewed noise exceeds with a probability."""
-    from scipy.special import gammainccinv, ndtri
+def _deviates(skewness: float, share: F64 | float) -> F64:
+    """Compute how many deviations a share of noise of a skewness lies below."""
+    from scipy.special import gammainccinv, gammaincinv, ndtri
 
-    grid = np.linspace(0.0, _MOST_SKEW, 61)
-    shape = 4.0 / np.maximum(grid[1:], 1e-6) ** 2
-    skewed = (gammainccinv(shape, probability) - shape) / np.sqrt(shape)
-    return np.asarray(np.interp(skewness, grid, [-float(ndtri(probability)), *skewed]))
+    if not skewness:
+        return np.asarray(ndtri(share))
+    shape = 4.0 / skewness**2
+    mirrored = skewness < 0.0
+    away = (gammainccinv if mirrored else gammaincinv)(shape, share) - shape
+    return np.asarray((-away if mirrored else away) / np.sqrt(shape))
 
 
 def _spread(tiles: F64, size: tuple[int, ...]) -> F64:
     """Interpolate tiles' values linearly, also beyond the outer centres."""
-    rows, columns = size
-    return _lengthen(np.ascontiguousarray(_lengthen(tiles, rows).T), columns).T
+    from scipy.interpolate import make_interp_spline
 
-
-def _lengthen(tiles: F64, size: int) -> F64:
-    """Interpolate between the first axis's tiles, at so many pixels."""
-    count = len(tiles)
-    if count == 1:
-        return np.repeat(tiles, size, axis=0)
-    place = (np.arange(size) + 0.5) * count / size - 0.5
-    left = np.clip(np.floor(place), 0, count - 2).astype(np.int64)
-    share = (place - left)[:, None]
-    return np.asarray(tiles[left] + share * (tiles[left + 1] - tiles[left]))
+    for axis, (count, pixels) in enumerate(zip(tiles.shape, size, strict=True)):
+        if count == 1:
+            tiles = np.repeat(tiles, pixels, axis)
+        else:
+            centers = (np.arange(count) + 0.5) * pixels / count - 0.5
+            tiles = make_interp_spline(centers, tiles, 1, axis=axis)(np.arange(pixels))
+    return tiles

@@ -18,8 +18,6 @@ _BATCH = 32  # images that one child process reads
 _EXPANDED = 100  # times a movie's size that its frames may take
 _NEARLY_GREY = 6  # of 255: difference of colours that a movie's compression makes of grey
 _NO_IMAGE = "expected an image of a kind that OpenCV reads, got none"
-_WHITEST = np.uint16(65535)
-_LUMA = (0.114, 0.587, 0.299)  # of blue, green and red, ITU-R BT.601
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,7 @@ def _store_stills(_: Path, paths: Sequence[Path], folder: Path, first: int, coun
             raise InputError(f"{path}: {_NO_IMAGE}")
         for page, image in enumerate(pages):
             grey = _grey(path, image)
-            light = _WHITEST - grey if _is_negative(path, image) else grey
+            light = ~grey if _is_negative(path, image) else grey
             np.save(folder / f"{number}-{page}.npy", light)
 
 
@@ -208,12 +206,15 @@ def _store_movie(path: Path, _: Sequence[Path], folder: Path) -> None:
         if image.ndim == 3:
             if int(np.ptp(image.astype(np.int16), axis=2).max()) > _NEARLY_GREY:
                 raise InputError(f"{path}: expected a grey movie, got one with colours; convert it")
-            image = np.rint(image @ np.asarray(_LUMA))
+            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
         np.save(folder / f"0-{page}.npy", np.asarray(image, dtype=np.uint16))
 
 
 def _grey(path: Path, image: Any) -> U16:
-    if image.dtype.kind == "f" and (image == np.clip(np.rint(image), 0, _WHITEST)).all():
+    if (
+        image.dtype.kind == "f"
+        and (image == np.clip(np.rint(image), 0, np.iinfo(np.uint16).max)).all()
+    ):
         image = image.astype(np.uint16)
     if image.dtype.kind not in "ui" or image.dtype.itemsize > 2:
         raise InputError(

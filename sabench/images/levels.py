@@ -13,7 +13,6 @@ from sabench.utils.arrays import F32, I64, U16, Bool
 
 # Black and white:
 DEPTHS = (8, 10, 12, 14, 16)
-_VALUES = 1 << 16
 _DARKEST = 1e-4  # of the pixels of a backlit image
 _TAIL = 0.02  # of the pixels: darker than nearly all
 _NEAR = 0.02  # of the highest grey value: saturated pixels are that near to it
@@ -21,9 +20,8 @@ _CLIPPED = 5.0  # times as many pixels near the highest value as just below: sat
 _FEWEST = 20  # pixels that saturate
 
 # Bright particles:
-BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
+PERCENTILE = 95.0  # of the illuminated pixels: becomes 1
 ILLUMINATED = 0.1  # of the brightest pixel
-_PEAKS = 4.0  # typical peaks that the brightest pixel counts at most
 
 
 @dataclass(frozen=True)
@@ -47,12 +45,12 @@ class GreyLevels:
 class GreyValues:
     """Histogram of the grey values of one camera's images."""
 
-    counts: I64 = field(default_factory=lambda: np.zeros(_VALUES, dtype=np.int64))
+    counts: I64 = field(default_factory=lambda: np.zeros(1 << DEPTHS[-1], np.int64))
 
     def add(self, image: U16, counts: Bool | None = None) -> None:
         """Add an image (row, column), without the pixels that do not count."""
         used = image if counts is None else image[counts]
-        self.counts += np.bincount(used.ravel(), minlength=_VALUES)
+        self.counts += np.bincount(used.ravel(), minlength=len(self.counts))
 
     @property
     def bit_depth(self) -> int:
@@ -128,18 +126,18 @@ def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
     exceed a tenth of the brightest, without unknown ones; 0 without any. Pixels brighter than four
     typical peaks (`repair.peak_light`) count as four: a few of them may be anything.
     """
-    from sabench.images.repair import above_background, peak_light  # loads numba
+    from sabench.images.repair import BRIGHT, above_background, peak_light  # loads numba
 
     peak = peak_light(*above_background(grey))
     pixels = grey.ravel() if unknown is None else grey[~unknown]
     counts = np.bincount(pixels, minlength=1)
     levels = np.maximum(np.arange(len(counts)) - black_dn, 0.0)
-    brightest = min(levels[-1], _PEAKS * peak) if peak else levels[-1]
+    brightest = min(levels[-1], BRIGHT * peak) if peak else levels[-1]
     counts[levels <= ILLUMINATED * brightest] = 0
     up_to = np.cumsum(counts)
     if up_to[-1] == 0:
         return 0.0
-    rank = BRIGHT / 100.0 * (up_to[-1] - 1)
+    rank = PERCENTILE / 100.0 * (up_to[-1] - 1)
     low, high = (
         levels[np.searchsorted(up_to, math.floor(rank) + step, side="right")]
         for step in (0, min(1, math.ceil(rank) - math.floor(rank)))

@@ -14,11 +14,9 @@ from sabench.utils.arrays import F32, F64, I64, U16, Bool
 from sabench.utils.compiled import numba
 
 _CELL_PX = 4.0  # edge of the square cells into which peaks are sorted
-_CLEAR = 10.0  # standard deviations of noise: brighter pixels are judged by their surroundings
+CLEAR = 8.0  # standard deviations of noise: what is brighter is no noise
 # light of a pixel's eight neighbours over its own; particle images of 0.4 px have 0.6 or more
 _LONE = 0.3
-_BESIDE = 5.0  # standard deviations of noise: light next to a peak that is hardly noise
-_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.uint8)
 _EARLIER = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], dtype=np.uint8)
 _SHARP = 1.0  # the same of usual peaks, where images are 0.35 px wide or less
 
@@ -155,11 +153,10 @@ def find_lone_pixels(light: F32, noise: F32) -> Bool:
     import cv2  # takes long to load
 
     around = cv2.boxFilter(light, -1, (3, 3), normalize=False) - light
-    lone = (light > _CLEAR * noise) & (around < _LONE * light)
-    row, column = maxima(np.where(light > _CLEAR * noise, light, np.float32(0.0)), 0.0)
+    lone = (light > CLEAR * noise) & (around < _LONE * light)
+    row, column = maxima(np.where(light > CLEAR * noise, light, np.float32(0.0)), 0.0)
     shares = around[row, column] / light[row, column]
-    beside = cv2.dilate(light, _NEIGHBOURS)[row, column] > _BESIDE * noise[row, column]
-    others = shares[(shares >= _LONE) & beside]
+    others = shares[shares >= _LONE]
     if 2 * len(others) > (shares < _LONE).sum() and np.median(others) < _SHARP:
         lone[:] = False
     return np.asarray(lone)

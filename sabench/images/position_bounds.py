@@ -24,11 +24,10 @@ _REACH = 4.0  # standard deviations from the centre of an image to its window's 
 _OVERLAP = 2.0  # standard deviations of both: distance of images that overlap
 _WIDEST = 32  # px: half a window
 _UNKNOWNS = 4  # logarithm of the light, and position
-# share of its information by which each unknown of a neighbour is known before, so that neighbours
-# that one camera alone sees make no matrix singular
-_KNOWN = 1e-9
-_SINGULAR = 1e-9  # least eigenvalue of information in units of each unknown's own
-_STEPS, _EXACT = 100, 1e-4  # of conjugate gradients, and the share of a rest they may still take
+# of each unknown's own information: a neighbour's is known by that share before, so that one that
+# one camera alone sees makes no matrix singular; least eigenvalue of a particle's
+_ROUNDING = float(np.sqrt(np.finfo(float).eps))
+_EXACT = 1e-4  # share of a rest that conjugate gradients may still take
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     for camera, pixel in zip(cameras, pixels, strict=True):
         _add_information(camera, pixel, starts, near, own, both)
     information = np.zeros((len(rows), _UNKNOWNS, _UNKNOWNS))
-    known = own + np.eye(_UNKNOWNS) * (_KNOWN * own + np.finfo(float).tiny)
+    known = own + np.eye(_UNKNOWNS) * (_ROUNDING * own + np.finfo(float).tiny)
     inverse = np.linalg.inv(known)
 
     def reduce(part: slice) -> None:
@@ -87,7 +86,7 @@ def _covariances(information: F64) -> F64:
     even = np.tile(np.eye(_UNKNOWNS), (len(information), 1, 1))
     scale[~regular] = 1.0
     even[regular] = (information / scale[:, :, None] / scale[:, None, :])[regular]
-    regular &= np.linalg.eigvalsh(even)[:, 0] > _SINGULAR
+    regular &= np.linalg.eigvalsh(even)[:, 0] > _ROUNDING
     even[~regular] = np.eye(_UNKNOWNS)
     covariances = (np.linalg.inv(even) / scale[:, :, None] / scale[:, None, :])[:, 1:, 1:]
     covariances[~regular] = np.nan
@@ -291,7 +290,7 @@ def _reduce(
     _fill_product(left, step, size)
     for a in range(k):
         rest[a] = own[a, a]
-    for _ in range(_STEPS):
+    for _ in range(count * k):
         _times_blocks(known, partners, step, pull)
         _add_links(links, places, ends, both, step, pull)
         _fill_product(step, pull, bend)

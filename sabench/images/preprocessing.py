@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from sabench.utils.arrays import F32, U16
 from sabench.utils.validation import validate
 
-WHITE = 65535  # of processed images; their black is 0
+WHITE = int(np.iinfo(np.uint16).max)  # of processed images; their black is 0
 
 
 class _Step(BaseModel):

@@ -8,21 +8,17 @@ is a bright area wider than any particle's image.
 import numpy as np
 
 from sabench.images.flaws import Flaws, Repaired
-from sabench.images.peaks import maxima
-from sabench.images.widths import LEAST_NOISE
+from sabench.images.peaks import CLEAR, maxima
+from sabench.images.widths import LEAST_NOISE, SPOT_PX
 from sabench.utils.arrays import F32, FROM_MAD, I64, U16, Bool
 
 _WINDOW = 9  # px: edge of the square whose darkest part is the background
-_CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
 _NARROW = 0.25  # of the typical peak's sharpness: the neighbours of hot pixels are darker
-_SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px
-_DARK, _HOLE = 0.15, 0.4  # of the light on both sides: the limit for dead pixels, and by sharpness
+_DARK = 0.15  # of the light on both sides, at most: dead pixels are darker
 _FAINT = 0.5  # of the median peak: the light of dimmer flaws does no harm
 _MARGIN = 1.5  # standard deviations by which both are certain
-_WIDE = 7  # px: edge of a square that no particle fills with light
-_BRIGHT, _SKIRT = 4.0, 0.5  # of a typical peak: a reflection, and the light around it
-_GLARE = 10.0  # of a typical peak: brighter than particles are
-_REACH = 3  # px around it
+_SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px
+BRIGHT = 4.0  # of a typical peak: more is no particle
 _BESIDE = np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])  # rows and columns of neighbours
 
 
@@ -68,7 +64,7 @@ def peak_light(light: F32, noise: float) -> float:
 
     Peaks are those clear of noise; 0 without any. A few peaks of any height hardly change it.
     """
-    row, column = maxima(light, _CLEAR * noise)
+    row, column = maxima(light, CLEAR * noise)
     heights = light[row, column]
     return float(np.quantile(heights, 0.75)) if len(heights) else 0.0
 
@@ -79,23 +75,23 @@ def find_points(grey: U16, black_dn: float) -> Bool:
 
     light, noise = above_background(grey)
     points = np.zeros(light.shape, dtype=np.bool_)
-    row, column = maxima(light, _CLEAR * noise)
+    row, column = maxima(light, CLEAR * noise)
     if len(row):
         # light beside typical peaks, which must be particles', over theirs: 0.2 for Gaussians of
         # 0.5 px, 0.45 for those of 0.75 px
         sides = _dim_sides(light)
         ratios = sides[row, column] / light[row, column]
         sharpness = max(float(np.quantile(ratios, 0.6)), 0.0)
-        least = max(_CLEAR * noise, _FAINT * float(np.median(light[row, column])))
-        margin, hole = _MARGIN * noise, min(_DARK, _HOLE * sharpness)
+        least = max(CLEAR * noise, _FAINT * float(np.median(light[row, column])))
+        narrow, margin = _NARROW * sharpness, _MARGIN * noise
         if sharpness > _SHARPEST:
-            points = _find_hot(light, least, sides, _NARROW * sharpness, margin)
+            points = _find_hot(light, least, sides, narrow, margin)
         # dead ones: light above black too dark for that on all of their sides
         above = grey.astype(np.float32) - np.float32(black_dn)
         wide = cv2.copyMakeBorder(np.maximum(above, 0.0), 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
         across, down = wide[1:-1, :-2] * wide[1:-1, 2:], wide[:-2, 1:-1] * wide[2:, 1:-1]
         beside = np.minimum(across, down, out=across)
-        limit = np.float32(hole) * np.sqrt(beside, out=down)
+        limit = np.float32(min(_DARK, narrow)) * np.sqrt(beside, out=down)
         points |= (above + np.float32(margin) < limit) & (beside > (0.5 * least) ** 2)
     return points
 
@@ -109,17 +105,14 @@ def find_reflections(grey: U16, white_dn: float) -> Bool:
     if peak == 0.0:
         return np.zeros(grey.shape, dtype=np.bool_)
     dark = float(np.median(grey))
-    square = np.ones((_WIDE, _WIDE), dtype=np.uint8)
+    square = np.ones((SPOT_PX, SPOT_PX), dtype=np.uint8)
     least = cv2.erode(grey, square)
-    seeds = least >= min(dark + _BRIGHT * peak, white_dn)
+    seeds = least >= min(dark + BRIGHT * peak, white_dn)
     covered = np.zeros(grey.shape, dtype=np.uint8)
     if seeds.any():
-        _, areas = cv2.connectedComponents((least > dark + _SKIRT * peak).astype(np.uint8))
+        _, areas = cv2.connectedComponents((least > dark + peak).astype(np.uint8))
         skirts = np.isin(areas, np.unique(areas[seeds & (areas > 0)]))
-        covered = cv2.dilate(skirts.astype(np.uint8), np.ones((_WIDE + 2,) * 2, dtype=np.uint8))
-    glare = light > _GLARE * peak
-    if glare.any():
-        covered |= cv2.dilate(glare.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8))
+        covered = cv2.dilate(skirts.astype(np.uint8), np.ones((SPOT_PX + 2,) * 2, dtype=np.uint8))
     return covered.astype(np.bool_)
 
 

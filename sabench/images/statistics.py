@@ -16,7 +16,7 @@ import numpy as np
 from sabench.images.image_files import camera_name, last_number_order
 from sabench.images.image_reading import read_pages
 from sabench.images.levels import DEPTHS
-from sabench.images.peaks import find_peaks
+from sabench.images.peaks import CLEAR, find_peaks
 from sabench.images.repair import above_background, find_points
 from sabench.images.widths import PIXEL
 from sabench.utils.arrays import F32, F64, FROM_MAD, U16
@@ -125,15 +125,12 @@ def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
 # Light and noise:
 SCALED_WHITE = 255.0  # scaled grey value of a saturated pixel
 NOISE_FRAMES = 3  # for the noise of a stack
-_DIM = 50.0  # percentile of the pixels' medians below which they are dim
 _MIDDLE = 1.2  # variance of the mean of the middle half of n normal numbers, times n
 _FAR, _ROUNDS = 4.0, 3  # standard deviations for clipping, and rounds of it
 
 # Fits of particle images:
-_CLEAR = 8.0  # least height of a peak above the background, standard deviations of noise
 _HALF = 2  # px: half the window of a particle image's fit
-_NARROW_PX, _WIDEST_PX = 1.0, 10.0  # widths of fits by 3 x 3 pixels, and of those that fail
-_MOST = 50.0  # ln of light; only of fits that fail
+_NARROW_PX = 1.0  # widths of fits by 3 x 3 pixels
 
 
 @dataclass(frozen=True)
@@ -214,7 +211,7 @@ def measure_noise(stack: U16) -> tuple[float, float, float]:
     quarter = len(stack) // 4
     middle = np.sort(stack, axis=0)[quarter : len(stack) - quarter].mean(axis=0, dtype=np.float32)
     around = cv2.medianBlur(middle, 5)  # selects without a view to a pixel's own flaws
-    dim = around <= np.percentile(around, _DIM)
+    dim = around <= np.median(around)
     temporal = _clipped_deviation(np.diff(stack.astype(np.float32), axis=0)[:, dim]) / np.sqrt(2.0)
     rest = _MIDDLE / len(stack) * temporal**2
     spread = float(middle[dim].std(dtype=np.float64))
@@ -298,7 +295,7 @@ def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
     """
     light, noise = above_background(grey)
     light -= np.float32(noise)  # the least of many values is that low
-    column, row = np.rint(find_peaks(light, _CLEAR * noise).pixels).astype(np.int64).T
+    column, row = np.rint(find_peaks(light, CLEAR * noise).pixels).astype(np.int64).T
     most = np.array(light.shape) - 1 - _HALF
     inner = (np.minimum(column, row) >= _HALF) & (row <= most[0]) & (column <= most[1])
     row, column = row[inner], column[inner]
@@ -311,7 +308,7 @@ def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
     narrow = _fit_gaussians(windows[good][:, 1:-1, 1:-1])
     wide = _fit_gaussians(windows[good])
     fit = np.where(narrow[:, :1] <= _NARROW_PX, narrow, wide)  # NaN is not narrow
-    valid = fit[:, 0] < _WIDEST_PX
+    valid = fit[:, 0] < len(around)  # wider ones than their window are no fits
     pixel = np.stack([column[good], row[good]], axis=1) + fit[:, 2:]
     height = windows[good, _HALF, _HALF]
     return FittedImages(pixel[valid], fit[valid, 0], fit[valid, 1], height[valid], int(top.sum()))
@@ -339,7 +336,8 @@ def _fit_gaussians(windows: F64) -> F64:
     across, down, both = -2.0 * c[:, 5] / safe, -2.0 * c[:, 3] / safe, c[:, 4] / safe
     x, y = across * c[:, 1] + both * c[:, 2], both * c[:, 1] + down * c[:, 2]
     top = c[:, 0] + 0.5 * (c[:, 1] * x + c[:, 2] * y)
-    flux = np.exp(np.minimum(top, _MOST)) * 2.0 * np.pi / np.sqrt(safe)
+    with np.errstate(over="ignore"):  # of fits that fail
+        flux = np.exp(top) * 2.0 * np.pi / np.sqrt(safe)
     square = (across - PIXEL) * (down - PIXEL) - both**2
     valid &= (np.minimum(across, down) > PIXEL) & (square > 0.0)
     valid &= np.maximum(np.abs(x), np.abs(y)) < 1.0

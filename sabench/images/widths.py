@@ -3,8 +3,8 @@
 `measure_images` takes statistics of all pixels. No particle has to be found first, and overlaps do
 no harm: for particles at random, products of pixels some distance apart follow from one particle's
 image (Campbell's theorem: N. R. Campbell, The study of discontinuous phenomena, Proc. Camb. Phil.
-Soc. 15, 117-136, 1909). Where few particles make an image hardly brighter than its background, or a
-glint is brighter than all, peaks are used.
+Soc. 15, 117-136, 1909). Glints that outshine all are left out. Where few particles make an image
+hardly brighter than its background, peaks are used.
 
 `image_widths` is faster and coarser: three pixels across each peak. `images.statistics` fits a
 Gaussian to each peak, and `particles.learned_model` all cameras' images of the particles found.
@@ -15,20 +15,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sabench.images.peaks import CLEAR
 from sabench.utils.arrays import F32, F64, Bool
 
 # Statistics of all pixels:
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
-_LEAST_TILT, _LEAST_TILTED = 0.1, 0.45  # less is chance; px: least width of images for a tilt
-_MOST_TILT = 0.95  # of long streaks
+# less is chance; px: least width of images for a tilt, worth .003 and 7 % of RMS of narrow images
+_LEAST_TILT, _LEAST_TILTED = 0.1, 0.45
 _FAR = range(6, 8)  # px: so far apart, pixels share no particle
 _LOCAL = 31  # px: square of the mean that products are less; many particles' images
 LEAST_NOISE = 0.5  # grey values: of rounding
-_FEW, _FEW_PEAKS = 50, 10  # least numbers of values below black, and of peaks
-_CLEAR = 6.0  # standard deviations of neighbours' products, and of peaks, above those of noise
-_PEAK, _AROUND = 5, 7  # px: squares with a peak as brightest pixel, and with its light
-_BLOB, _OUTSHINES = 15, 0.1  # px: a square around a glint; share of an image's squared light
-_OVER_PEAKS = 3.0  # of the light around a middle peak: the most that is typical
+_FEW = 10  # least number of values below black, and of peaks
+SPOT_PX = 7  # edge of a square around a particle's image; that around a glint is twice as wide
+_OUTSHINES = 0.1  # share of an image's squared light
 PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
 
 
@@ -119,10 +118,10 @@ def _without_brightest(image: F64, valid: Bool) -> Bool:
     import cv2  # takes long to load
 
     squares = np.where(valid, image, 0.0) ** 2
-    inside = cv2.boxFilter(squares, -1, (_BLOB, _BLOB), normalize=False)
+    inside = cv2.boxFilter(squares, -1, (2 * SPOT_PX + 1,) * 2, normalize=False)
     rest: Bool = valid & (inside <= _OUTSHINES * squares.sum())
     left = _peaks(np.where(rest, image, 0.0), noise_below_black(image[valid])).sum()
-    return valid if left < _FEW_PEAKS else rest
+    return valid if left < _FEW else rest
 
 
 def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float, float, bool]:
@@ -161,18 +160,18 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
     against = _product(over[:, ::-1], count[:, ::-1], 1, 1) - far
     tilt = math.log(along / against) if min(along, against) > 0.0 else 0.0
     tilt *= math.sqrt(squares[0] * squares[1])
+    most = math.sqrt(1.0 - (_LEAST_SIGMA**2 + PIXEL) / widest)
     tilted = abs(tilt) > _LEAST_TILT and min(squares) > _LEAST_TILTED**2 + PIXEL
-    tilt = min(max(tilt, -_MOST_TILT), _MOST_TILT) if tilted else 0.0
+    tilt = min(max(tilt, -most), most) if tilted else 0.0
     area = 4.0 * math.pi * math.sqrt(squares[0] * squares[1] / (1.0 - tilt * tilt))
     squares = [min(square / (1.0 - tilt * tilt), widest) for square in squares]
     mean = float(light.sum() / max(count.sum(), 1.0))
     flux = 0.5 * sum(at_zero) * area
-    flux = flux / mean if mean > 0.0 else math.inf
-    flux = min(flux, _OVER_PEAKS * _light_of_peaks(light, noise_below_black(image[valid])))
+    flux = flux / mean if mean > 0.0 else _light_of_peaks(light, noise_below_black(image[valid]))
     widths = math.sqrt(squares[0] - PIXEL), math.sqrt(squares[1] - PIXEL)
     values = image[valid]
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
-    clear = float(near[:, 0].mean()) > _CLEAR * chance and 1e-6 < flux < math.inf
+    clear = float(near[:, 0].mean()) > CLEAR * chance and 1e-6 < flux < math.inf
     tilt *= math.sqrt(squares[0] * squares[1]) / (widths[0] * widths[1])
     return widths, tilt, flux if clear else 0.0, clear
 
@@ -185,9 +184,9 @@ def _light_of_peaks(light: F64, noise: float) -> float:
     import cv2  # takes long to load
 
     peaks = _peaks(light, noise)
-    if peaks.sum() < _FEW_PEAKS:
+    if peaks.sum() < _FEW:
         return math.inf
-    sums = cv2.boxFilter(light.astype(np.float32), -1, (_AROUND, _AROUND), normalize=False)
+    sums = cv2.boxFilter(light.astype(np.float32), -1, (SPOT_PX, SPOT_PX), normalize=False)
     return max(float(np.median(sums[peaks])), 0.0)
 
 
@@ -195,8 +194,8 @@ def _peaks(light: F64, noise: float) -> Bool:
     import cv2  # takes long to load
 
     shown = light.astype(np.float32)
-    highest = cv2.dilate(shown, np.ones((_PEAK, _PEAK), np.uint8))
-    return np.asarray((shown == highest) & (shown > _CLEAR * noise))
+    highest = cv2.dilate(shown, np.ones((SPOT_PX, SPOT_PX), np.uint8))
+    return np.asarray((shown == highest) & (shown > CLEAR * noise))
 
 
 def _product(light: F64, count: F64, rows: int, columns: int) -> float:

@@ -46,20 +46,20 @@ def darkness(case: Observation) -> F32:
     return np.asarray(np.exp2(volume, out=volume))
 
 
-def compute_potential(volume: F32, step: int) -> F32:
+def compute_potential(volume: F32, step: int, flat: float = _FLAT) -> F32:
     """Compute the feature potential E of equations 5.15 and 5.16.
 
     Returns (z, window rows, window columns) for windows `step` voxels apart; 0 where the spread is
-    below that of an empty window.
+    below `flat`.
     """
     rows, columns = (max(1, (size - WINDOW) // step + 1) for size in volume.shape[1:])
     out = np.zeros((volume.shape[0], rows, columns), dtype=np.float32)
-    on_cores(_potential, out.shape[1] * out.shape[2], volume, step, out)
+    on_cores(_potential, out.shape[1] * out.shape[2], volume, step, flat, out)
     return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _potential(jobs: slice, volume: Any, step: int, out: Any) -> None:
+def _potential(jobs: slice, volume: Any, step: int, flat: float, out: Any) -> None:
     planes, height, width = volume.shape
     for window in range(jobs.start, jobs.stop):
         i, j = window // out.shape[2], window % out.shape[2]
@@ -73,7 +73,7 @@ def _potential(jobs: slice, volume: Any, step: int, out: Any) -> None:
                     square += volume[z, y, x] ** 2
         count = planes * (bottom - top) * (right - left)
         spread = np.sqrt(max(square / count - (total / count) ** 2, 0.0))
-        if spread < _FLAT:
+        if spread < flat:
             continue
         for z in range(planes):
             across = along = 0.0

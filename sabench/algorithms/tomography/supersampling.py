@@ -16,7 +16,7 @@ from sabench.algorithms.tomography.projection_operator import Support
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.images.gaussians import gaussian_shares
-from sabench.images.levels import BRIGHT, ILLUMINATED
+from sabench.images.levels import ILLUMINATED, PERCENTILE
 from sabench.utils.arrays import F32, F64, triple
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
@@ -165,7 +165,7 @@ def clear_dark(volume: F32, floor: float) -> F32:
     """
     brightest = min(float(volume.max(initial=0.0)), _MOST * _typical(volume))
     bright_voxels = volume[volume > ILLUMINATED * brightest]
-    level = float(np.percentile(bright_voxels, BRIGHT)) if len(bright_voxels) else 0.0
+    level = float(np.percentile(bright_voxels, PERCENTILE)) if len(bright_voxels) else 0.0
     bright = max(level, _FAINTEST)
     volume[volume < floor * bright] = 0.0
     return volume

@@ -36,14 +36,14 @@ def test_numbers_are_doubled_and_halved_and_shares_as_what_they_miss() -> None:
         "doubled": "(0.6, 5.0)",
         "halved": "(0.15, 1.25)",
     }
-    assert float(rules["images.widths._MOST_TILT"]["doubled"]) == pytest.approx(0.9)
+    assert float(rules["images.widths._LEAST_TILT"]["doubled"]) == pytest.approx(0.9)
 
 
 @pytest.mark.slow
 def test_a_kernel_and_its_callers_hold_a_constant() -> None:
     rules = {rule.key: rule for rule in rules_of("algorithms/particles")}
-    still = rules["algorithms.particles.joint_fit._STILL"]
-    assert {"_fits_already", "fit_particle", "remove_ghosts", "split_pairs"} <= still.kernels
+    still = rules["algorithms.particles.joint_fit._LIGHT_STEPS"]
+    assert {"find_light", "fit_particle", "remove_ghosts", "split_pairs"} <= still.kernels
     assert "algorithms.particles.particle_search.refine" in still.users
     assert not rules["algorithms.particles.bayesian_ipr._GROWTH"].kernels
 
@@ -51,11 +51,11 @@ def test_a_kernel_and_its_callers_hold_a_constant() -> None:
 def test_a_module_is_imported_with_the_other_value() -> None:
     code = (
         "from benchmarks.ablation_rules import change\n"
-        "change('images.widths', '_MOST_TILT', '0.5')\n"
-        "from sabench.images import widths; print(widths._MOST_TILT)"
+        "change('images.widths', '_LEAST_TILT', '0.5')\n"
+        "from sabench.images import widths; print(widths._LEAST_TILT)"
     )
     told = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=True)
-    assert float(told.stdout) == 0.5 != widths._MOST_TILT
+    assert float(told.stdout) == 0.5 != widths._LEAST_TILT
 
 
 def test_a_case_that_is_worse_keeps_a_rule_and_a_particle_more_or_less_does_not() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sabench.algorithms.bubbles import rim_fit
+from sabench.algorithms.bubbles import backlit_images, rim_fit
 from sabench.algorithms.bubbles.backlit_images import Profile
 from sabench.simulation.rendering.pixel_truth import outlines
 from sabench.utils.arrays import F64
@@ -112,11 +112,13 @@ def test_derivatives_are_those_of_differences() -> None:
         column, row = rng.integers(10, 30, 2).tolist()
         found = np.zeros(5)
         here = rim_fit.slopes_at(ellipse, column, row, 4.0, table, blur, found)
-        assert here == max(rim_fit.shade_at(ellipse, column, row, 4.0, table, blur), rim_fit.DIM)
+        assert here == max(
+            rim_fit.shade_at(ellipse, column, row, 4.0, table, blur), backlit_images.DIM
+        )
         for number, step in enumerate(STEPS):
             near = ellipse + step * np.eye(5)[number] * np.array([[1.0], [0.0], [-1.0]])
             ends = [
-                max(rim_fit.shade_at(one, column, row, 4.0, table, blur), rim_fit.DIM)
+                max(rim_fit.shade_at(one, column, row, 4.0, table, blur), backlit_images.DIM)
                 for one in near
             ]
             one_sided = np.diff(ends)
