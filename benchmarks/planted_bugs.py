@@ -137,8 +137,8 @@ BUGS = (
     Bug(
         "bubbles match within their radius, not half of it",
         "sabench/metrics/bubble_detection.py",
-        "_NEAR * radius_mm",
-        "2.0 * _NEAR * radius_mm",
+        "NEAR * radius_mm",
+        "2.0 * NEAR * radius_mm",
         case="bubbles",
     ),
     Bug(

@@ -19,6 +19,7 @@ _FAINT = 0.5  # of the median peak: the light of dimmer flaws does no harm
 _MARGIN = 1.5  # standard deviations by which both are certain
 _SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px
 BRIGHT = 4.0  # of a typical peak: more is no particle
+_GLARE = 10.0  # of a typical peak: brighter than particles are
 _BESIDE = np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])  # rows and columns of neighbours
 
 
@@ -113,6 +114,8 @@ def find_reflections(grey: U16, white_dn: float) -> Bool:
         _, areas = cv2.connectedComponents((least > dark + peak).astype(np.uint8))
         skirts = np.isin(areas, np.unique(areas[seeds & (areas > 0)]))
         covered = cv2.dilate(skirts.astype(np.uint8), np.ones((SPOT_PX + 2,) * 2, dtype=np.uint8))
+    glare = light > _GLARE * peak
+    covered |= cv2.dilate(glare.astype(np.uint8), square)
     return covered.astype(np.bool_)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Self
 
 _LONGEST = 1200  # characters of a sentence that stands alone; a sixth of it ends one that is cut
-LISTED = 240  # characters of each of several, and of words of others that a sentence repeats
+LISTED = 400  # characters of each of several, and of words of others that a sentence repeats
 MOST = 20  # sentences that are listed
 
 

@@ -5,23 +5,32 @@ from pathlib import Path
 import pytest
 
 from tests.architecture.plan import ROOT
-from tests.architecture.weight import figures, tables, walk, weigh
+from tests.architecture.weight import constants, figures, tables, walk, weigh
 
-# Reached on 2026-11-29, plus 3 %.
+# Reached on 2026-11-30, plus 3 %.
 LIMITS: dict[str, float] = {
-    "sabench without apps: lines": 64454,
-    "sabench without apps: code lines": 42940,
-    "sabench without apps: modules": 318,
-    "reproduction: lines": 8057,
+    "sabench without apps: lines": 63472,
+    "sabench without apps: code lines": 42093,
+    "sabench without apps: modules": 317,
+    "reproduction: lines": 8194,
     "tests: lines": 37739,
-    "apps: lines": 5317,
+    "apps: lines": 5107,
+    "constants of sabench": 880,
+    "constants of algorithms/particles": 156,
+    "constants of images": 80,
+    "particles and images: lines": 8042,
     "modules with one importer": 58,
-    "import lines, percent": 6.3,
+    "import lines, percent": 6.5,
     "walk of simulate: files": 38,
-    "walk of simulate: names": 205,
+    "walk of simulate: names": 203,
     "walk of score of particles: files": 7,
-    "walk of score of particles: names": 40,
+    "walk of score of particles: names": 37,
 }
+
+
+def test_constants_are_names_of_modules_that_hold_numbers(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("_MOST, FEW = 3.0, 2\nYES, NAME = True, 'a'\nX: int = 1\n")
+    assert constants(tmp_path) == 3
 
 
 def test_a_walk_enters_what_bodies_name(tmp_path: Path) -> None:

@@ -31,6 +31,10 @@ def figures(root: Path) -> dict[str, float]:
     }
     found |= {f"{name}: lines": lines(root / name) for name in ("reproduction", "tests")}
     found["apps: lines"] = apps["lines"]
+    for room in ("", "algorithms/particles", "images"):
+        found[f"constants of {room or 'sabench'}"] = constants(package / room)
+    rooms = lines(package / "algorithms/particles") + lines(package / "images")
+    found["particles and images: lines"] = rooms
     found["modules with one importer"] = sum(number == 1 for number in importers.values())
     found["import lines, percent"] = round(100 * whole["import lines"] / whole["lines"], 2)
     names = tables(package)
@@ -54,6 +58,23 @@ def weigh(folder: Path) -> Counter[str]:
         idle |= {i for i, one in enumerate(text, 1) if one.strip()[:1] in ("", "#")}
         count.update(lines=len(text), modules=1)
         count["code lines"] += len(text) - len(idle)
+    return count
+
+
+def constants(folder: Path) -> int:
+    """Count the names at the top of modules whose values hold a number."""
+    count = 0
+    for file in folder.rglob("*.py"):
+        for node in syntax(file).body:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                values = [
+                    one.value for one in ast.walk(node.value) if isinstance(one, ast.Constant)
+                ]
+                if any(
+                    isinstance(one, int | float) and not isinstance(one, bool) for one in values
+                ):
+                    count += sum(len(getattr(target, "elts", [target])) for target in targets)
     return count
 
 
