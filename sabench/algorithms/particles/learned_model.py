@@ -51,6 +51,7 @@ _SHAPE_ERRORS = np.array(
 _LONGEST = 0.25  # of these errors: a step; with whole ones, realistic images have more ghosts
 
 # Variance of pixels:
+_CLIP = 30.0  # mean squares: largest contribution of a pixel; .005 of F1 of realistic images
 _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
@@ -174,15 +175,21 @@ def fill_variance(
     model and of what is left. All arrays are (row, column), `dark` is a variance.
     """
     rows, columns = image.shape
-    count = x = y = xx = xy = 0.0
+    squares, count = 0.0, 0
+    for i in range(rows):
+        for j in range(columns):
+            if valid[i, j]:
+                squares += _miss(left[i, j], saturated[i, j]) ** 2
+                count += 1
+    clip = _CLIP * squares / max(count, 1)
+    x = y = xx = xy = 0.0
     for i in range(rows):
         for j in range(columns):
             if valid[i, j]:
                 light = _modelled(image[i, j], left[i, j])
-                square = _miss(left[i, j], saturated[i, j]) ** 2
-                count, x, y = count + 1.0, x + light, y + square
-                xx, xy = xx + light * light, xy + light * square
-    even, slope = fit_line(count, x, y, xx, xy)
+                square = min(_miss(left[i, j], saturated[i, j]) ** 2, clip)
+                x, y, xx, xy = x + light, y + square, xx + light * light, xy + light * square
+    even, slope = fit_line(float(count), x, y, xx, xy)
     even, slope = max(even, dark), max(slope, 0.0)
     for i in range(rows):
         for j in range(columns):
