@@ -21,7 +21,6 @@ STRUCTURE = {
     "algorithms.particles.image_model.SHAPES",
     "algorithms.particles.image_model._ANY_ORDER",
     "algorithms.particles.image_model._NONE",
-    "algorithms.particles.particle_search._BOX",
     "algorithms.particles.particle_search._BY_PARTICLE",
     "algorithms.particles.candidate_search._STEP",
     "algorithms.particles.candidate_search._STEPS",
