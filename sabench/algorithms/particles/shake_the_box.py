@@ -20,7 +20,7 @@ Course of a later frame:
     predict   all tracks; those known to a pixel are put into the images where they are expected
     fit       light and position of these, and remove them as `bayesian_ipr` does; tracks of three
               positions or more that keep half of their light are not tried
-    find      in what is left: find, fit, remove, twice; learn the cameras' shifts; split, and remove
+    find      in what is left: find, fit, remove, twice; learn cameras' shifts; split, and remove
     recognise a particle is its track's if the sum of its squared misses over the expected ones is
               below 20; others are paired with tracks that were not found
     update    the tracks; frames that they missed get the positions of now, moved back in time
