@@ -203,6 +203,7 @@ def read_cameras(root: Path) -> CamerasFile:
 def check_setup(value: Any, path: Path) -> CamerasFile:
     """Check the cameras of a data set, as `cameras.json` and shards hold them."""
     loaded = schema.check_versioned(CamerasFile, value, path)
+    _check_levels(loaded, path)
     check_largest(value, str(path))
     _check_names(loaded.cameras, path)
     _check_cameras(loaded.cameras, path)
@@ -224,7 +225,7 @@ def check_setup(value: Any, path: Path) -> CamerasFile:
         raise InputError(f"{path}: shows: expected {expected}, got {list(loaded.shows)}")
     check_walls(path, loaded.walls_of_cameras(), len(loaded.cameras))
     _check_counts(path, loaded.walls_of_cameras(), loaded.cameras, loaded.grid)
-    _check_numbers(loaded, path)
+    _check_grid(loaded.grid, path)
     return loaded.model_copy(update={"cameras": behind(loaded.walls_of_cameras(), loaded.cameras)})
 
 
@@ -311,7 +312,7 @@ def _check_map(camera: CameraModel, path: Path) -> None:
         )
 
 
-def _check_numbers(loaded: CamerasFile, path: Path) -> None:
+def _check_levels(loaded: CamerasFile, path: Path) -> None:
     levels = loaded.sensor
     if not levels.black_dn < levels.white_dn:
         raise InputError(
@@ -329,7 +330,9 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
                 f"{path}: sensor.by_camera: {camera.name}: expected black below white, of 0 to "
                 f"{MOST_DN}, got {black:g} and {white:g}, and black_dn = {levels.black_dn:g}"
             )
-    grid = loaded.grid
+
+
+def _check_grid(grid: Grid, path: Path) -> None:
     if min(*grid.shape, *grid.voxel_mm) <= 0 or any(
         cut < 0 or 2 * cut >= n for cut, n in zip(grid.crop, grid.shape[::-1], strict=True)
     ):

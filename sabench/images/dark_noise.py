@@ -43,9 +43,8 @@ _HIGH_Z, _SPAN_Z = 0.25, 1.0  # largest normal deviate of pixels that count, and
 _SHARES = 0.3, 0.1, 0.03, 0.01  # of the pixels, those with the darkest surroundings
 _AROUND_PX = 5  # edge of a pixel's surroundings
 _LIGHT = 1.3  # times as much noise as calmer pixels or tiles around show: light
-_SAME_SIGN = (
-    0.53  # of neighbours, less their surroundings: 0.55 to 0.67 of particles, 0.51 of noise
-)
+# of neighbours, less their surroundings: 0.55 to 0.67 of particles, 0.51 of noise
+_SAME_SIGN = 0.53
 _SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles for the skewness, as normal deviates
 _MOST_SKEW = 2.0
 

@@ -26,7 +26,7 @@ from sabench.plotting.drawing import Circles, Discs, Figure, Panel
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (
-    ALIKE,
+    AGREEING,
     SHARE,
     Captions,
     Figures,
@@ -253,7 +253,7 @@ class BubblesTask(FrameByFrame):
 
     def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
         """Compare bubbles by the share detected in both."""
-        return share_near(one.center_mm, other.center_mm, NEAR * one.radius_mm) >= ALIKE
+        return share_near(one.center_mm, other.center_mm, NEAR * one.radius_mm) >= AGREEING
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the bubbles of the first frame, front and side view, as a PNG."""

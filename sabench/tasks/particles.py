@@ -22,7 +22,7 @@ from sabench.tasks import particles_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.solver_call import SolverClock, image_sequence
 from sabench.tasks.task import (
-    ALIKE,
+    AGREEING,
     ANY,
     SHARE,
     Captions,
@@ -230,7 +230,7 @@ class ParticlesTask(Task):
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
         """Compare particles by the share detected in both."""
         near_mm = _NEAR_VOXELS * min(data.setup.grid.voxel_mm)
-        return share_near(one.position_mm, other.position_mm, near_mm) >= ALIKE
+        return share_near(one.position_mm, other.position_mm, near_mm) >= AGREEING
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the particles in a slice as Gaussian blobs of a voxel, as a PNG."""

@@ -29,8 +29,9 @@ Figures = dict[str, float | None]
 _TIMES = 100  # detections of a frame that are scored: per true one, and per one of as many more
 
 LARGEST = 1e15  # no meaningful score is beyond it
-# least correlation of volumes, or share of particles that agree, if cameras are in another order
-ALIKE = 0.9
+# least correlation of volumes, and share of particles or bubbles that agree, if cameras are in
+# another order
+ALIKE, AGREEING = 0.95, 0.9
 # ranges of scores
 ANY, ERROR, SHARE, PERCENT = (-LARGEST, LARGEST), (0.0, LARGEST), (0.0, 1.0), (0.0, 100.0)
 

@@ -24,8 +24,10 @@ from sabench.utils.compiled import numba
 _BIN = 0.5  # px: of minor axes in the accumulator
 _OFF = 0.75  # px: of an edge from the outline that it belongs to
 _ALONG = np.cos(np.deg2rad(25.0))  # of an edge's direction and the outline's normal
+_FLANK = 0.9  # of the major semi-axis: edges nearer to its ends do not determine the minor one
 _LEAST_PX = 1.2  # semi-axis
 _FEWEST = 6  # edges of an outline
+_FITS = 2
 
 
 def compute_gradient(image: F32, border: int = cv2.BORDER_REPLICATE) -> tuple[F32, F32]:
@@ -92,7 +94,8 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
         ellipse, part = _vote_for_ellipse(points, largest, least_aspect)
         if part < least_part:
             break
-        ellipse = _fit_ellipse(points[_belongs(points, ellipse, _OFF)], ellipse)
+        for _ in range(_FITS):
+            ellipse = _fit_ellipse(points[_belongs(points, ellipse, _OFF)], ellipse)
         part = _edge_coverage(points, ellipse)
         if part >= least_part and ellipse[3] >= least_aspect * ellipse[2]:
             out.append(np.append(ellipse, part))
@@ -197,7 +200,7 @@ def _minor(points: Any, axis: Any, least_aspect: float) -> float:
     for k in range(len(points)):
         dx, dy = points[k, 0] - x, points[k, 1] - y
         u, w = dx * cosine + dy * sine, dy * cosine - dx * sine
-        if abs(u) >= a:
+        if abs(u) > _FLANK * a:
             continue
         b = abs(w) / np.sqrt(1.0 - (u / a) ** 2)
         if b < max(least_aspect * a - _BIN, _LEAST_PX) or b > a + _BIN:

@@ -30,7 +30,7 @@ from sabench.utils.threads import on_cores
 WINDOW = 7  # voxels: l_x = l_y
 STACK = 50  # planes of a minimum image
 _SHARP = 2.0  # v of equation 5.15 for a window of unit variance
-_FLAT = 0.01  # spread of an empty window
+_FLAT = 0.02  # spread of an empty window
 
 
 def darkness(case: Observation) -> F32:
@@ -282,6 +282,7 @@ def merge_overlaps(shapes: F64, grid: Grid) -> F64:
 
 STEP = WINDOW // 2  # voxels between windows that overlap by half
 PLANES = 10  # from a group's strongest peak to the others
+_NEAR = 5  # planes on both sides of the darkest one that make a depth
 _OVERLAP = 0.8  # of the larger one's semi-axis: bubbles with nearer centres are one
 _LARGER = 1.5  # times: the smaller one of two is a part of the other
 
@@ -344,8 +345,8 @@ class FeaturePeaks:
 def find_depth(volume: F32, outline: F64, plane: int) -> float:
     """Find the plane, to a fraction, where the rim of an outline is darkest.
 
-    The rim is the part inside the outline within a voxel of it. The plane is the mean, weighted
-    with the square of their mean darkness.
+    The rim is the part inside the outline within a voxel of it. The plane is the mean of those
+    around the darkest one, weighted with the square of their mean darkness.
 
     Parameters
     ----------
@@ -359,11 +360,9 @@ def find_depth(volume: F32, outline: F64, plane: int) -> float:
     if not stack.size:
         return float(plane)
     dark = stack.mean(axis=1, dtype=np.float64)
-    return (
-        first + float(np.average(np.arange(len(dark)), weights=dark**2))
-        if dark.any()
-        else float(plane)
-    )
+    index = np.arange(len(dark))
+    weight = np.where(np.abs(index - dark.argmax()) <= _NEAR, dark**2, 0.0)
+    return first + float(np.average(index, weights=weight)) if weight.any() else float(plane)
 
 
 def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:

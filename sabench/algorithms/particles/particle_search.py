@@ -227,14 +227,6 @@ class ParticleSearch:
         alive = np.ones(len(self.position), dtype=np.bool_)
         return ModelParticles(self.position, self.light, alive)
 
-    def squares_left(self) -> F64:
-        """Sum up the squares (camera,) of what is left of the images, over the variance."""
-        sums = []
-        for camera, valid in enumerate(self.known):
-            squares = self.miss(camera)[valid] ** 2 / self.variance[camera][valid]
-            sums.append(float(squares.sum()))
-        return np.array(sums)
-
     def unexplained(self) -> float:
         """Compute the share of the light that is left; the median over the cameras."""
         shares = [

@@ -143,7 +143,7 @@ def test_a_data_set_has_the_same_images_and_levels(tmp_path: Any) -> None:
     [
         ("4 cameras, got 1", [[60, 4000]]),
         ("camera_03", [[60, 4000]] * 3 + [[70, 70]]),
-        ("sensor.by_camera", [[60, 4000]] * 3 + [[0, 1e300]]),
+        ("camera_03", [[60, 4000]] * 3 + [[0, 1e300]]),
     ],
 )
 def test_impossible_levels_by_camera_are_refused(tmp_path: Any, key: str, levels: Any) -> None:
