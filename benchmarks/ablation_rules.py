@@ -16,16 +16,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # numbers that are no rules: indices, sizes of arrays, units, series and formats
 STRUCTURE = {
-    "algorithms.particles.image_model.WEIGHT",
-    "algorithms.particles.image_model.SUMS",
     "algorithms.particles.image_model.SHAPES",
     "algorithms.particles.image_model._ANY_ORDER",
     "algorithms.particles.image_model._NONE",
-    "algorithms.particles.particle_search._BY_PARTICLE",
-    "algorithms.particles.candidate_search._STEP",
-    "algorithms.particles.candidate_search._STEPS",
-    "algorithms.particles.candidate_search._DIAGONALS",
-    "algorithms.particles.candidate_search._DARK",
     "algorithms.calibration.kernels.CAMERA",
     "algorithms.calibration.kernels.BOARD",
     "algorithms.calibration.kernels.BEND",
@@ -50,7 +43,6 @@ OFF = {
     "algorithms.particles.learned_model.learn_light": "pass",
     "algorithms.particles.obstacles.find_partly_hidden": "return []",
     "algorithms.particles.obstacles.find_dark_views": "return np.zeros(clear.images.shape, bool)",
-    "algorithms.particles.obstacles.are_doubtful": "return True",
     "algorithms.particles.obstacles.without_wrong_cameras": "return search",
     "algorithms.particles.candidate_search.wide_enough": "return images, sigma",
     "algorithms.particles.dense_start.are_mostly_wrong": "return False",

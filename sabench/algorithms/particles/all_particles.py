@@ -17,13 +17,12 @@ import numpy as np
 
 from sabench.algorithms.particles import model_moves
 from sabench.algorithms.particles.image_model import (
+    MARGIN_PX,
     UNSEEN,
-    WEIGHT,
-    XX,
-    YY,
     ImageModel,
     ModelParticles,
     Room,
+    Sum,
     copy_row,
     fill_image,
     fill_slopes,
@@ -38,7 +37,7 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 
-_CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
+_CELLS = 1500  # the most
 _FEW = 20_000  # rows: fewer are fitted in their order, which matters more than the time saved
 _MOVE_PX = 3.0  # largest shift of images by fits
 
@@ -110,7 +109,7 @@ def order_in_memory(maps: VolumePolynomials, position: F64, pixel: float) -> I64
 def _cells(maps: VolumePolynomials, position: F64, pixel: float) -> I64:
     """Find the numbers (n,) of the cubes of the box that positions lie in."""
     size = 2.0 * maps.half_mm
-    edge = max(_CELL_PX * pixel, float((np.prod(size) / _CELLS) ** (1.0 / 3.0)))
+    edge = max(MARGIN_PX * pixel, float((np.prod(size) / _CELLS) ** (1.0 / 3.0)))
     counts = np.maximum(size / edge, 1.0).astype(np.int64)
     index = np.minimum(0.5 * (position + 1.0) * counts, counts - 1).astype(np.int64)
     return np.asarray((index[:, 2] * counts[1] + index[:, 1]) * counts[0] + index[:, 0])
@@ -255,11 +254,11 @@ def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(cameras):
             copy_row(model.precision[c], room.bend[c])
-            room.bend[c, c] += particles.light[n, c] ** 2 * room.sums[c, WEIGHT]
+            room.bend[c, c] += particles.light[n, c] ** 2 * room.sums[c, Sum.WEIGHT]
         factorise_cholesky(room.bend)
         fill_inverse_diagonal(room.bend, room.pull, room.logs)
         for c in range(cameras):
-            weight, slopes = room.sums[c, WEIGHT], room.sums[c, XX] + room.sums[c, YY]
+            weight, slopes = room.sums[c, Sum.WEIGHT], room.sums[c, Sum.XX] + room.sums[c, Sum.YY]
             taken[n, c] = 0.0
             if min(weight, slopes) > UNSEEN:
                 taken[n, c, 0] = room.pull[c] * particles.light[n, c] ** 2

@@ -176,9 +176,6 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
         return search
     shares = candidate_search.volume_shares(frame.maps, frame.clear.images.shape[1:])
     dark = obstacles.find_dark_views(search, frame.clear, shares)
-    explained = search.unexplained() <= _UNEXPLAINED
-    if explained and dark.any() and not obstacles.are_doubtful(search, dark):
-        return search
     while dark.any():
         without = _find_most(frame, wrong, dark)
         if without is None or frame.deadline.over:

@@ -9,6 +9,7 @@ searched. Its axes are the world's, but images decide which of them is x, y and 
 direction: a rig that is rotated together with its grid, axes onto axes, gives the same particles.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ from scipy.ndimage import gaussian_filter
 
 from sabench.api import FoundParticles
 from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.common_view import lattice_of
 from sabench.geometry.grid import Grid
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
@@ -33,10 +35,7 @@ BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up 
 _NARROWEST = 0.4  # px: least width of images that a lattice of pixels' steps does not miss
 _FLATTEST = 2.0  # pixels: longest step of the lattice, in space
 _DEEPEST = 3.0  # of the longest step along the depth over one across
-# across, across and along the depth, in their units
-_DIAGONALS = [[1, 1, 0], [1, -1, 0], [1, 0, 1], [0, 1, 1], [1, 0, -1], [0, 1, -1]]
-_STEPS = np.concatenate([np.eye(3), 0.7 * np.array(_DIAGONALS)])
-_DARK = np.float32(-1e9)
+_DARK = np.float32(-np.inf)
 FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too often
 
 # Axes of the rig, shares of the volume, and faults of cameras:
@@ -44,10 +43,6 @@ _VECTORS = {"position_mm", "velocity_mm_s", "acceleration_mm_s2"}
 _SQUARES = {"covariance_mm2", "velocity_covariance", "acceleration_covariance"}
 _POINTS, _EACH = 140_000, 16  # in the box, and in a block of pixels on average
 _LONELY = 0.05  # of a pixel's part of the box, which few cameras see
-# powers of the root of x^4 = x + 1: points that fill a cube evenly (M. Roberts, The unreasonable
-# effectiveness of quasirandom sequences, 2018)
-_STEP = 1.2207440846057596 ** -np.arange(1.0, 4.0)
-_NODES, _INSIDE = 17, 0.98  # of the lattice along each axis, and its edge over the grid's
 
 
 def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
@@ -99,7 +94,11 @@ def split_directions(maps: VolumePolynomials) -> F64:
     across /= np.linalg.norm(across)
     longer = min(math.sqrt(values[1] / max(values[0], 1e-300)), _DEEPEST)
     frame = np.stack([across, np.cross(depth, across), longer * depth])
-    return np.asarray(pixel_mm(maps) * _STEPS @ frame)
+    # half of the neighbours of a cell in a lattice, but those across its corners
+    cells = itertools.product((0.0, 1.0, -1.0), repeat=3)
+    steps = np.array([cell for cell in cells if cell > (0.0,) * 3 and 0.0 in cell])
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    return np.asarray(pixel_mm(maps) * steps @ frame)
 
 
 def slopes_per_mm(maps: VolumePolynomials) -> F64:
@@ -342,7 +341,10 @@ class _Blocks(NamedTuple):
 
 def _blocks(maps: VolumePolynomials, shape: tuple[int, ...]) -> Iterator[_Blocks]:
     """Find the blocks of each camera's pixels that hold points in the box."""
-    points = 2.0 * ((np.arange(_POINTS)[:, None] * _STEP) % 1.0) - 1.0
+    # multiples of powers of the root of x^4 = x + 1 fill a cube evenly (M. Roberts, The
+    # unreasonable effectiveness of quasirandom sequences, 2018)
+    step = np.roots([1.0, 0.0, 0.0, -1.0, -1.0]).real.max() ** -np.arange(1.0, 4.0)
+    points = 2.0 * ((np.arange(_POINTS)[:, None] * step) % 1.0) - 1.0
     edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / _POINTS))
     rows, columns = (math.ceil(size / edge) for size in shape)
     for camera in range(len(maps.coefficients)):
@@ -356,10 +358,7 @@ def find_fault(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
     """Say why particles cannot be searched for with these cameras; None if they can."""
     if len(cameras) < FEWEST:
         return "it needs three cameras"
-    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
-    shares = 0.5 + _INSIDE * (np.arange(_NODES) / (_NODES - 1) - 0.5)
-    lattice = np.stack(np.meshgrid(shares, shares, shares), axis=-1).reshape(-1, 3)
-    points = low + voxel * (np.array(grid.shape[::-1]) - 1) * lattice
+    points = lattice_of(grid)
     count = np.zeros(len(points), dtype=np.int64)
     for camera in cameras:
         pixels, valid = camera.project(points)

@@ -29,7 +29,6 @@ from sabench.utils.arrays import F64, I64
 
 # Passes over the first frames:
 WINDOW_FRAMES = 6  # frames that are searched together
-_PASSES = 4  # the most
 _GROWTH = 1.1  # of the number of confirmed particles in a pass: after less comes the last pass
 _ERROR_PX = 0.25  # of positions where images overlap, far more than they claim
 _SOLVED = 0.85  # of links: as many are right if few particles are ghosts
@@ -82,8 +81,8 @@ def search_window(
     """
     searches: list[ParticleSearch | None] = list(alone)
     searches += [search_frame(case, maps, settings) for case in cases[len(alone) :]]
-    confirmed = 0
-    for number in range(_PASSES):
+    confirmed, last = 0, False
+    while not last:
         frames = [search.found() for search in searches if search is not None]
         counts = [len(frame.position_mm) for frame in frames]
         if len(counts) < len(cases) or min(counts) <= NEIGHBOURS:
@@ -100,14 +99,12 @@ def search_window(
         before, confirmed = confirmed, sum(len(frame.position) for frame in real)
         if not confirmed:
             return list(alone)
-        last = number == _PASSES - 1 or confirmed < _GROWTH * before
+        last = confirmed < _GROWTH * before
         few = len(alone) if last else len(cases)
         searches = [
             search_frame(case, maps, settings, sure)
             for case, sure in zip(cases[:few], real[:few], strict=True)
         ]
-        if last:
-            break
     first = [search for search in searches if search is not None]
     return first if len(first) == len(alone) else list(alone)
 

@@ -9,6 +9,7 @@ by zero.
 """
 
 import math
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,13 +50,17 @@ from sabench.utils.vector_units import (
 _REACH, _ROUNDED_PX = 3.1, 0.1  # of a particle's image in widths; that much less is enough
 MARGIN_PX = 24  # pixels around images: the widest window
 UNSEEN = 1e-12  # weight of an image that a camera does not see
-WEIGHT, PULL, XX, XY, YY, X, Y, GIVEN = range(8)  # of `sum_up`
-SUMS = 8
 SHAPES = 4  # of `ImageModel.shapes`: two widths, covariance, and flatness
 TERMS = 5  # of each, over the box: 1, its three coordinates, and the square of the last
 MOST_FLAT = 0.07  # a disc of four widths' diameter; edges of flatter ones would be negative
 _ANY_ORDER = {"reassoc", "contract", "nsz"}  # of sums
 _NONE = np.float32(0.0)
+
+
+class Sum(IntEnum):
+    """Places of the sums of `sum_up`."""
+
+    WEIGHT, PULL, XX, XY, YY, X, Y, GIVEN = range(8)
 
 
 def with_margins(images: F32) -> F32:
@@ -144,7 +149,7 @@ class Room(NamedTuple):
     corner : (camera, 2) first column and row in images with margins; in these for windows outside.
     here, width : (camera, 2) centre in images without margins, and widths, px.
     slope : (camera, 2, 3) derivatives of the centre by the position in the box.
-    sums : (camera, SUMS) of `sum_up`.
+    sums : (camera, sum) of `sum_up`.
     signal, weight : (camera,) of `look`: minus the cost of light L in a camera, relative to no
         light, is L signal - L^2 weight / 2, and `given` in all cameras.
     given : (1,) what light saves in saturated pixels that have enough of it.
@@ -180,7 +185,7 @@ def make_room(sigma: F64) -> Room:
         slope=np.zeros((cameras, 2, 3)),
         here=np.zeros((cameras, 2)),
         width=np.zeros((cameras, 2)),
-        sums=np.zeros((cameras, SUMS)),
+        sums=np.zeros((cameras, len(Sum))),
         signal=np.zeros(cameras),
         weight=np.zeros(cameras),
         given=np.zeros(1),
@@ -388,9 +393,9 @@ def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
             sums = sum_window(left, weights, room.profiles, c, row, column, room.window, light[c])
         else:
             sums = sum_shaped(left, weights, room.profiles, c, row, column, room.window, light[c])
-        for k in range(SUMS):
+        for k in range(room.sums.shape[1]):
             room.sums[c, k] = sums[k]
-        shown = sums[WEIGHT] > UNSEEN
-        room.weight[c] = sums[WEIGHT] if shown else 0.0
-        room.signal[c] = sums[PULL] + light[c] * sums[WEIGHT] if shown else 0.0
-        room.given[0] += sums[GIVEN]
+        weight, pull = room.sums[c, Sum.WEIGHT], room.sums[c, Sum.PULL]
+        room.weight[c] = weight if weight > UNSEEN else 0.0
+        room.signal[c] = pull + light[c] * weight if weight > UNSEEN else 0.0
+        room.given[0] += room.sums[c, Sum.GIVEN]

@@ -16,25 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.particles.image_model import (
-    WEIGHT,
-    XX,
-    XY,
-    YY,
-    X,
-    Y,
-    copy_row,
-    look,
-    paint_here,
-    sum_up,
-)
+from sabench.algorithms.particles.image_model import Sum, copy_row, look, paint_here, sum_up
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 
 # Light:
 _LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step that is the last
 _CLIP = 0.97  # share of the particles that the covariance comes from
-_OWN = 0.05  # error of the model of images, of a particle's light
+OWN_ERROR = 0.03  # of the model of images, over a particle's light: particles differ
 _SHRINK = 20.0  # particles for each camera: with more, a covariance counts more than its average
 
 # Positions:
@@ -71,7 +60,8 @@ def learn_covariance(logarithms: F64) -> F64:
     average = np.full((cameras, cameras), shared)
     np.fill_diagonal(average, variance)
     weight = _SHRINK * cameras / (_SHRINK * cameras + len(off))
-    return np.asarray((1.0 - weight) * covariance + weight * average + _OWN**2 * np.eye(cameras))
+    shrunk = (1.0 - weight) * covariance + weight * average
+    return np.asarray(shrunk + OWN_ERROR**2 * np.eye(cameras))
 
 
 @numba.njit(cache=True)
@@ -195,12 +185,13 @@ def best_light(model: Any, room: Any, light: Any) -> float:
 
 
 @numba.njit(cache=True)
-def _add_to_matrix(matrix: Any, slope: Any, sums: Any, light: float) -> None:
+def _add_to_matrix(room: Any, c: int, light: float) -> None:
     """Add a camera's share of the position's normal matrix, after `sum_up`."""
-    square, xx, xy, yy = light * light, sums[XX], sums[XY], sums[YY]
+    square, slope, sums = light * light, room.slope[c], room.sums
+    xx, xy, yy = sums[c, Sum.XX], sums[c, Sum.XY], sums[c, Sum.YY]
     for p in range(3):
         for q in range(3):
-            matrix[p, q] += square * (
+            room.matrix[p, q] += square * (
                 slope[0, p] * (xx * slope[0, q] + xy * slope[1, q])
                 + slope[1, p] * (xy * slope[0, q] + yy * slope[1, q])
             )
@@ -216,9 +207,9 @@ def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float
         for p in range(3):
             steepest = max(steepest, abs(slope[0, p]), abs(slope[1, p]))
             room.right[p] += light[c] * (
-                slope[0, p] * room.sums[c, X] + slope[1, p] * room.sums[c, Y]
+                slope[0, p] * room.sums[c, Sum.X] + slope[1, p] * room.sums[c, Sum.Y]
             )
-        _add_to_matrix(room.matrix, slope, room.sums[c], light[c])
+        _add_to_matrix(room, c, light[c])
     return steepest
 
 
@@ -310,8 +301,8 @@ def penalty(model: Any, room: Any, position: Any, light: Any) -> float:
     for c in range(len(light)):
         for k in range(len(light)):
             room.bend[c, k] = model.precision[c, k]
-        room.bend[c, c] += light[c] * light[c] * room.sums[c, WEIGHT]
-        _add_to_matrix(room.matrix, room.slope[c], room.sums[c], light[c])
+        room.bend[c, c] += light[c] * light[c] * room.sums[c, Sum.WEIGHT]
+        _add_to_matrix(room, c, light[c])
     factorise_cholesky(room.bend)
     information = 0.5 * (log_determinant(room.bend) - model.log_precision)
     determinant = solve_three(room.matrix, room.right, room.trial)

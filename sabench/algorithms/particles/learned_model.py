@@ -16,9 +16,9 @@ from sabench.algorithms.particles.image_model import (
     SHAPES,
     TERMS,
     UNSEEN,
-    XX,
     ImageModel,
     ModelParticles,
+    Sum,
     copy_row,
     counting,
     fill_image,
@@ -27,7 +27,7 @@ from sabench.algorithms.particles.image_model import (
     place_windows,
     sum_up,
 )
-from sabench.algorithms.particles.joint_fit import FARTHEST_PX, learn_covariance
+from sabench.algorithms.particles.joint_fit import FARTHEST_PX, OWN_ERROR, learn_covariance
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.geometry.volume_polynomials import project_points
 from sabench.images.gaussian_kernels import fill_derivatives
@@ -37,22 +37,19 @@ from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, TILT_SLOPE_Y
 
-_FEW = 30  # too few particles to represent all
+FEW = 30  # too few particles to represent all
 _STEPS = 2  # of a fit of the cameras' shifts or shapes
-_WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
-_TILT_CHANGE = 0.2  # of tilts, at first and over the box
+_ERROR = 0.2  # of the first widths and tilts, and of tilts over the box: their scatter
+_WIDTH_CHANGE = 0.05  # of widths over the box
 _TILTED = 0.2  # correlation somewhere in the box that loses particles
-_FLAT_CHANGE = 0.08  # of flatness, at first and over the box: from Gaussians to discs
 _FLAT = 0.01  # flatness: isolated Gaussians show up to 0.005, discs of 2.5 px 0.03
 _SHAPE_ERRORS = np.array(
-    [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3, _WIDTH_ERROR]] * 2
-    + [[_TILT_CHANGE] * TERMS, [_FLAT_CHANGE] * TERMS]
+    [[_ERROR, *[_WIDTH_CHANGE] * 3, _ERROR]] * 2 + [[_ERROR] * TERMS, [MOST_FLAT] * TERMS]
 )
 _LONGEST = 0.25  # of these errors: a step; with whole ones, realistic images have more ghosts
 
 # Variance of pixels:
 _CLIP = 30.0  # mean squares: largest contribution of a pixel; .005 of F1 of realistic images
-_OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
 # Isolated particles:
@@ -81,7 +78,7 @@ def weigh_pixels(search: ParticleSearch, cap: float) -> None:
 def learn_light(search: ParticleSearch) -> None:
     """Learn typical light and its covariance from the particles that stand alone."""
     lone = _find_lone(search)
-    if len(lone) < _FEW:
+    if len(lone) < FEW:
         return
     logs = np.log(search.light[lone] / search.typical)
     search.typical = search.typical * np.exp(np.median(logs, axis=0))
@@ -94,7 +91,7 @@ def learn_widths(search: ParticleSearch) -> None:
     Few particles must be missing, because what they leave makes others wider.
     """
     lone = _find_lone(search)
-    if len(lone) < _FEW:
+    if len(lone) < FEW:
         return
     model, particles, cameras = search.model(), search.particles(), len(search.images)
     areas = search.sigma.prod(axis=1)
@@ -138,7 +135,7 @@ def align_cameras(search: ParticleSearch) -> None:
 
     A common shift of all cameras cannot be seen.
     """
-    if len(search.position) < _FEW:
+    if len(search.position) < FEW:
         return
     for _ in range(_STEPS):
         sums = camera_misses(search.model(), search.widest, search.particles())
@@ -194,14 +191,14 @@ def fill_variance(
     for i in range(rows):
         for j in range(columns):
             light, miss = _modelled(image[i, j], left[i, j]), _miss(left[i, j], saturated[i, j])
-            least = (_OWN_ERROR * light) ** 2 + (_UNKNOWN * miss) ** 2
+            least = (OWN_ERROR * light) ** 2 + (_UNKNOWN * miss) ** 2
             variance[i, j] = max(min(even + slope * light, dark + most), dark + least)
 
 
 def _find_lone(search: ParticleSearch) -> I64:
     """Find particles with complete images that overlap least with others'."""
     maps, position, light, sigma = search.maps, search.position, search.light, search.sigma
-    if len(position) < _FEW:
+    if len(position) < FEW:
         return np.zeros(0, dtype=np.int64)
     pixels = np.stack([project_points(maps, camera, position) for camera in range(len(sigma))])
     border = (_OVERLAP * sigma.max(axis=1))[:, None, None]
@@ -216,7 +213,7 @@ def _find_lone(search: ParticleSearch) -> I64:
 
     share_rows(add, len(position))
     least = np.sort(np.where(inside, overlap, np.inf))
-    rank = min(max(_FEW, int(_ALONE * len(overlap))), len(overlap) - 1)
+    rank = min(max(FEW, int(_ALONE * len(overlap))), len(overlap) - 1)
     most = max(least[rank], _HARDLY * len(sigma))
     return np.flatnonzero(inside & (overlap <= most))
 
@@ -255,9 +252,9 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
         for c in range(len(model.typical)):
             light = particles.light[n, c]
             for k in range(3):
-                equations[c, k] += light * light * room.sums[c, XX + k]
+                equations[c, k] += light * light * room.sums[c, Sum.XX + k]
             for k in range(3, 5):
-                equations[c, k] += light * room.sums[c, XX + k]
+                equations[c, k] += light * room.sums[c, Sum.XX + k]
 
 
 @numba.njit(cache=True)

@@ -21,9 +21,8 @@ import numpy as np
 
 from sabench.algorithms.particles.image_model import (
     MARGIN_PX,
-    PULL,
     UNSEEN,
-    WEIGHT,
+    Sum,
     copy_row,
     counting,
     fill_image,
@@ -161,7 +160,7 @@ def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> N
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
             light = particles.light[n, c]
-            gained[n, c] = light * (room.sums[c, PULL] + 0.5 * light * room.sums[c, WEIGHT])
+            gained[n, c] = light * (room.sums[c, Sum.PULL] + 0.5 * light * room.sums[c, Sum.WEIGHT])
 
 
 @numba.njit(cache=True, nogil=True)

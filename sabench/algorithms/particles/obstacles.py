@@ -22,18 +22,18 @@ import numpy as np
 from sabench.algorithms.particles.all_particles import light_gains, paint_particles
 from sabench.algorithms.particles.candidate_search import FEWEST, shared_views
 from sabench.algorithms.particles.image_model import without_margins
+from sabench.algorithms.particles.learned_model import FEW
 from sabench.algorithms.particles.particle_search import FLOORS, MOST_TILT, ParticleSearch
 from sabench.images.background import ClearImages
 from sabench.images.flaws import Flaws
+from sabench.images.peaks import CLEAR
 from sabench.utils.arrays import F32, F64, FROM_MAD, Bool
 
 # Hidden areas:
 _LEAST = 0.02  # of the pixels that show the volume: less is chance
-_DOUBTFUL = 0.8  # of the light expected in an area: less may be hidden, or ghosts are expected
-_HIDDEN = 0.5  # the same, of particles that are found without the area
+_HIDDEN = 0.5  # of the light expected in an area by particles that are found without it
 _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of the light that is expected there
-_THIN = 0.75  # of the mean number of particles in a window: too few to decide
 
 # Partly hidden particles:
 _SOME = 3e-4  # of the particles: fewer that a set of cameras hides are no reason to try larger ones
@@ -41,10 +41,7 @@ _TRIED = 100  # sets of so many blind cameras, the most promising ones
 _DENIED = -10.0  # decrease of the cost by a particle's light in a camera that does not see it
 
 # Cameras that contradict the others:
-_MANY = 50  # particles for a measurement of their images
 _LEFT = 0.1  # of the squared light of an image: more that is left has a reason
-_CHANCE = 1.0  # over the square root of the particles' number: share that few leave by chance
-_CLEAR = 6.0  # standard deviations of noise: light
 _WORST = 2.0  # times the median camera's: what a camera leaves that contradicts the others
 
 _Cameras = tuple[int, ...]
@@ -56,11 +53,6 @@ def find_dark_views(search: ParticleSearch, clear: ClearImages, shares: F64) -> 
     large = dark.sum(axis=(1, 2)) > _LEAST * (shares > 0.0).sum(axis=(1, 2))
     dark[~(large & search.shown)] = False
     return dark & ~clear.flaws.unknown
-
-
-def are_doubtful(search: ParticleSearch, dark: Bool) -> bool:
-    """Return whether a search's particles should be seen in a dark area, but are not."""
-    return bool((_seen_shares(search, dark) < _DOUBTFUL).any())
 
 
 def keep_hidden(search: ParticleSearch, dark: Bool) -> Bool:
@@ -121,7 +113,7 @@ def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bo
     dark = np.zeros(images.shape, dtype=np.bool_)
     for camera, share in enumerate(shares):
         lit = share > 0.0
-        edge = math.ceil(math.sqrt(_EXPECTED / _THIN * lit.sum() / max(number, 1.0)))
+        edge = math.ceil(math.sqrt(2.0 * _EXPECTED * lit.sum() / max(number, 1.0)))
         if not 0 < 2 * edge <= min(lit.shape):
             continue
         valid = lit & ~flaws.unknown[camera]
@@ -254,7 +246,7 @@ def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
 
     Cameras with too few particles are left out.
     """
-    if search.number < _MANY:
+    if search.number < FEW:
         return
     for camera, tilt in zip(np.flatnonzero(search.shown).tolist(), search.tilt, strict=True):
         if abs(tilt) > MOST_TILT:
@@ -269,8 +261,8 @@ def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
 
 def explains(search: ParticleSearch) -> bool:
     """Return whether the particles explain the images."""
-    left = float(left_of_images(search).max())
-    return left < _LEFT + _CHANCE / math.sqrt(max(len(search.position), 1))
+    by_chance = 1.0 / math.sqrt(max(len(search.position), 1))
+    return float(left_of_images(search).max()) < _LEFT + by_chance
 
 
 def left_of_images(search: ParticleSearch) -> F64:
@@ -284,7 +276,7 @@ def left_of_images(search: ParticleSearch) -> F64:
         lights = [image[valid] for image, valid in zip(search.images, search.known, strict=True)]
         away = [light - np.median(light) for light in lights]
         return np.array(
-            [float((off > FROM_MAD * _CLEAR * np.median(np.abs(off))).any()) for off in away]
+            [float((off > FROM_MAD * CLEAR * np.median(np.abs(off))).any()) for off in away]
         )
     shares = _left_where(search, search.known)
     if shares.max() < _LEFT:
@@ -299,7 +291,7 @@ def _left_where(search: ParticleSearch, counts: Bool) -> F64:
         zip(search.images, counts, search.noise, strict=True)
     ):
         both = search.miss(camera), image
-        rest, whole = (_squares(np.where(valid, values, 0.0), _CLEAR * noise) for values in both)
+        rest, whole = (_squares(np.where(valid, values, 0.0), CLEAR * noise) for values in both)
         shares.append(rest / max(whole, rest, 1e-6))
     return np.array(shares)
 

@@ -69,12 +69,9 @@ def joined(first: FoundParticles, other: FoundParticles) -> FoundParticles:
     return FoundParticles(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
-# arrays of a search that have one row for each particle, with the values of a new one
-_BY_PARTICLE = {
-    **{"position": 0.0, "light": 0.0, "sure": False, "trusted": False},
-    **{"tag": -1, "odds": 0.0},
-}
-# arrays of a search that have one row for each of its cameras
+# arrays of a search that have one row for each particle
+_BY_PARTICLE = ("position", "light", "sure", "trusted", "tag", "odds")
+# and for each of its cameras
 _BY_CAMERA = (
     *("noise", "typical", "tilt", "shapes", "first_shapes"),
     *("variance", "known", "covered", "saturated", "framed_left"),
@@ -196,9 +193,8 @@ class ParticleSearch:
     def put(self, position: F64, light: F64, tag: I64) -> None:
         """Put in particles, whatever the images show."""
         first = len(self.position)
-        self.append(len(position), 1.0)
-        self.position[first:], self.light[first:], self.tag[first:] = position, light, tag
-        self.odds[first:] = np.inf
+        self.append(position, light)
+        self.tag[first:], self.odds[first:] = tag, np.inf
         self.subtract_all()
 
     def miss(self, camera: int) -> F32:
@@ -284,12 +280,14 @@ class ParticleSearch:
         part.select(np.zeros(len(self.position), dtype=np.bool_))
         return part
 
-    def append(self, count: int, light: float) -> None:
+    def append(self, position: F64, light: F64) -> None:
         """Add rows for new particles."""
-        for name, value in (_BY_PARTICLE | {"light": light}).items():
+        for name in _BY_PARTICLE:
             rows = getattr(self, name)
-            new = np.full((count, *rows.shape[1:]), value, rows.dtype)
+            new = np.zeros((len(position), *rows.shape[1:]), rows.dtype)
             setattr(self, name, np.concatenate([rows, new]))
+        first = len(self.position) - len(position)
+        self.position[first:], self.light[first:], self.tag[first:] = position, light, -1
 
     def refine(self, rounds: int) -> None:
         """Fit all particles in rounds, until one hardly lowers the cost or time is over."""
@@ -337,8 +335,7 @@ class ParticleSearch:
         share = max(_MANY / cameras, _FIRST)  # the more cameras, the fewer meet by chance
         most = _MORE * max(first, self.number) if first else share * self.number
         position = position[: int(most)]
-        self.append(len(position), 0.0)
-        self.position[first:] = position
+        self.append(position, np.zeros((len(position), cameras)))
         model, particles = self.model(), self.particles()
 
         def start(rows: I64) -> None:
@@ -382,7 +379,7 @@ class ParticleSearch:
         order = np.argsort(-gains, kind="stable")
         order = order[gains[order] > least]
         self.sure[order] = False
-        self.append(len(order), 1.0)
+        self.append(self.position[order], self.light[order])
         spare = np.zeros(count, dtype=np.int64)
         spare[order] = np.arange(count, len(self.position))
         particles = self.particles()

@@ -68,7 +68,6 @@ _SLACK = 0.04  # of the distance between particles: misses of the same one, adde
 _KNOWN_PX = 1.0  # largest standard deviation of a prediction that is fitted
 _FADED = 0.5  # light over the last light below which a particle may be a ghost
 _LAG = 3  # frames before and after one for its particles' motion
-_NEAR = 3.0  # standard deviations from the box's faces within which a particle may come or go
 
 
 @dataclass(frozen=True)
@@ -326,7 +325,7 @@ class _Tracker:
         """End tracks that left or were missed too often; drop particles seen once."""
         missed = tracks.missed > 0
         aside = np.abs(tracks.state[:, 0] - self.maps.middle_mm)
-        inside = (aside + _NEAR * np.sqrt(tracks.variance) <= self.maps.half_mm).all(axis=1)
+        inside = (aside + np.sqrt(GATE * tracks.variance) <= self.maps.half_mm).all(axis=1)
         self.frames[-2].drop(tracks.number[missed & inside & (tracks.sightings == 1)])
         outside = (aside > self.maps.half_mm).any(axis=1)
         over = (tracks.sightings < MATURE) | (tracks.missed > self.settings.gap) | outside

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sabench.algorithms.particles.image_model import GIVEN, PULL, WEIGHT, XX, XY, YY, X, Y
+from sabench.algorithms.particles.image_model import Sum
 from sabench.utils import vector_units
 
 
@@ -92,15 +92,15 @@ def test_sums_are_numpys(window: tuple[Any, Any, Any, int], add: Any, pairs: Any
     own, along_x, along_y = (_image(window, each) for each in pairs)
     counts = np.where((weight >= 0.0) | (left > 0.0), np.abs(weight), 0.0)
     expected = {
-        WEIGHT: counts * own**2,
-        PULL: counts * own * left,
-        XX: counts * along_x**2,
-        XY: counts * along_x * along_y,
-        YY: counts * along_y**2,
-        X: counts * along_x * left,
-        Y: counts * along_y * left,
+        Sum.WEIGHT: counts * own**2,
+        Sum.PULL: counts * own * left,
+        Sum.XX: counts * along_x**2,
+        Sum.XY: counts * along_x * along_y,
+        Sum.YY: counts * along_y**2,
+        Sum.X: counts * along_x * left,
+        Sum.Y: counts * along_y * left,
     }
     found = add(*window)
     for place, terms in expected.items():
         assert_allclose(found[place], terms.sum(), rtol=2e-5, atol=5e-4)
-    assert_allclose(found[GIVEN], _spared(weight, counts, left + LIGHT * own), rtol=2e-5)
+    assert_allclose(found[Sum.GIVEN], _spared(weight, counts, left + LIGHT * own), rtol=2e-5)
