@@ -16,6 +16,7 @@ import numpy as np
 
 from sabench.images.flaws import Flaws
 from sabench.images.peaks import CLEAR
+from sabench.images.repair import GLARE
 from sabench.images.widths import LEAST_NOISE, SPOT_PX, measure_images
 from sabench.utils.arrays import F32, FROM_MAD, Bool
 
@@ -28,9 +29,8 @@ _DARK = 1.5  # standard deviations above the background: dark pixels
 _AROUND = 61, 61  # px: square in which dark pixels are counted
 # standard deviations: less background is noise, or, where no pixel is dark, particles' tails
 _SHOWN, _TAILS = 1.0, 3.0
-_DARKEST = 0.05  # of the pixels: they show noise even between dense particles
 _STEEP = 6.0  # standard deviations within 3 x 3 pixels
-_MANY = 8.0  # typical particles: a glint
+_DARKEST = 0.05  # of the pixels: they show noise even between dense particles
 
 
 class ClearImages(NamedTuple):
@@ -139,6 +139,6 @@ def find_glints(image: F32, valid: Bool, light: float) -> Bool:
     sums = cv2.boxFilter(shown, -1, (SPOT_PX, SPOT_PX), normalize=False)
     middle = float(np.median(sums))
     scatter = FROM_MAD * float(np.median(np.abs(sums - middle)))
-    spots = sums > middle + _MANY * light + CLEAR * scatter  # overlapping particles scatter
+    spots = sums > middle + GLARE * light + CLEAR * scatter  # overlapping particles scatter
     halo = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SPOT_PX - 1,) * 2)
     return np.asarray(cv2.dilate(spots.astype(np.uint8), halo) > 0)

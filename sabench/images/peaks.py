@@ -17,7 +17,6 @@ _CELL_PX = 4.0  # edge of the square cells into which peaks are sorted
 CLEAR = 8.0  # standard deviations of noise: what is brighter is no noise
 # light of a pixel's eight neighbours over its own; particle images of 0.4 px have 0.6 or more
 _LONE = 0.3
-_EARLIER = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], dtype=np.uint8)
 _SHARP = 1.0  # the same of usual peaks, where images are 0.35 px wide or less
 
 
@@ -71,7 +70,8 @@ def maxima(light: F32, least: float) -> I64:
     """
     import cv2  # takes long to load
 
-    before, behind = cv2.dilate(light, _EARLIER), cv2.dilate(light, _EARLIER[::-1, ::-1])
+    earlier = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], dtype=np.uint8)
+    before, behind = cv2.dilate(light, earlier), cv2.dilate(light, earlier[::-1, ::-1])
     top = (light >= np.float32(least)) & (light > before) & (light >= behind)
     return np.array(np.nonzero(top[1:-1, 1:-1])) + 1
 

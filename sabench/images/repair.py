@@ -13,14 +13,14 @@ from sabench.images.widths import LEAST_NOISE, SPOT_PX
 from sabench.utils.arrays import F32, FROM_MAD, I64, U16, Bool
 
 _WINDOW = 9  # px: edge of the square whose darkest part is the background
-_NARROW = 0.25  # of the typical peak's sharpness: the neighbours of hot pixels are darker
-_DARK = 0.15  # of the light on both sides, at most: dead pixels are darker
+_NARROW = (
+    0.25  # of the typical peak's sharpness: neighbours of hot pixels, and dead ones, are darker
+)
 _FAINT = 0.5  # of the median peak: the light of dimmer flaws does no harm
 _MARGIN = 1.5  # standard deviations by which both are certain
 _SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px
 BRIGHT = 4.0  # of a typical peak: more is no particle
-_GLARE = 10.0  # of a typical peak: brighter than particles are
-_BESIDE = np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])  # rows and columns of neighbours
+GLARE = 8.0  # of a typical particle: brighter than particles are
 
 
 def repair(images: U16, black_dn: float, white_dn: float) -> Repaired:
@@ -92,7 +92,7 @@ def find_points(grey: U16, black_dn: float) -> Bool:
         wide = cv2.copyMakeBorder(np.maximum(above, 0.0), 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
         across, down = wide[1:-1, :-2] * wide[1:-1, 2:], wide[:-2, 1:-1] * wide[2:, 1:-1]
         beside = np.minimum(across, down, out=across)
-        limit = np.float32(min(_DARK, narrow)) * np.sqrt(beside, out=down)
+        limit = np.float32(narrow) * np.sqrt(beside, out=down)
         points |= (above + np.float32(margin) < limit) & (beside > (0.5 * least) ** 2)
     return points
 
@@ -114,7 +114,7 @@ def find_reflections(grey: U16, white_dn: float) -> Bool:
         _, areas = cv2.connectedComponents((least > dark + peak).astype(np.uint8))
         skirts = np.isin(areas, np.unique(areas[seeds & (areas > 0)]))
         covered = cv2.dilate(skirts.astype(np.uint8), np.ones((SPOT_PX + 2,) * 2, dtype=np.uint8))
-    glare = light > _GLARE * peak
+    glare = light > GLARE * peak
     covered |= cv2.dilate(glare.astype(np.uint8), square)
     return covered.astype(np.bool_)
 
@@ -134,7 +134,8 @@ def _dim_sides(light: F32) -> F32:
 
 def _neighbours(row: I64, column: I64, shape: tuple[int, ...]) -> tuple[I64, I64, Bool]:
     """Return pixels' neighbours (4, n): rows, columns, and whether they are inside."""
-    rows, columns = row + _BESIDE[:, :1], column + _BESIDE[:, 1:]
+    rows = np.array([row - 1, row + 1, row, row])
+    columns = np.array([column, column, column - 1, column + 1])
     inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
     return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
 

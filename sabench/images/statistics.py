@@ -126,7 +126,7 @@ def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
 SCALED_WHITE = 255.0  # scaled grey value of a saturated pixel
 NOISE_FRAMES = 3  # for the noise of a stack
 _MIDDLE = 1.2  # variance of the mean of the middle half of n normal numbers, times n
-_FAR, _ROUNDS = 4.0, 3  # standard deviations for clipping, and rounds of it
+_FAR = 4.0  # standard deviations: clipped
 
 # Fits of particle images:
 _HALF = 2  # px: half the window of a particle image's fit
@@ -223,10 +223,10 @@ def measure_noise(stack: U16) -> tuple[float, float, float]:
 def _clipped_deviation(values: F32) -> float:
     """Compute a standard deviation without outliers, also below one grey value."""
     away = np.abs(values - np.median(values))
-    limit = max(float(np.percentile(away, 68.0)), 1.0)
-    for _ in range(_ROUNDS):
+    limit, before = max(float(np.percentile(away, 68.0)), 1.0), np.inf
+    while limit < before:
         deviation = float(values[away <= _FAR * limit].std(dtype=np.float64))
-        limit = max(deviation, 1.0 / _FAR)
+        limit, before = max(deviation, 1.0 / _FAR), limit
     return deviation
 
 

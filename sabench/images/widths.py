@@ -22,7 +22,6 @@ from sabench.utils.arrays import F32, F64, Bool
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
 # less is chance; px: least width of images for a tilt, worth .003 and 7 % of RMS of narrow images
 _LEAST_TILT, _LEAST_TILTED = 0.1, 0.45
-_FAR = range(6, 8)  # px: so far apart, pixels share no particle
 _LOCAL = 31  # px: square of the mean that products are less; many particles' images
 LEAST_NOISE = 0.5  # grey values: of rounding
 _FEW = 10  # least number of values below black, and of peaks
@@ -142,7 +141,8 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
         for of in (light, count)
     )
     over = np.asarray(light - count * sums / np.maximum(counts, 1.0))
-    apart = [_product(over, count, *step) for d in _FAR for step in ((0, d), (d, 0))]
+    steps = [(d * i, d * j) for d in (SPOT_PX - 1, SPOT_PX) for i, j in ((0, 1), (1, 0))]
+    apart = [_product(over, count, *step) for step in steps]  # such pixels share no particle
     far = sum(apart) / len(apart)
     widest = _MOST_SIGMA**2 + PIXEL
     steps = (0, 1), (1, 0)

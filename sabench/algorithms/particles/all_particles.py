@@ -5,8 +5,6 @@ another camera's images, and measuring particles changes nothing. A fit of a par
 changes the pixels of its images, and those of its neighbours if they are fitted, too: threads fit
 particles of cells that share no pixel in any camera. The order of rows counts, as the first
 take most light, so that rows of one portion are fitted before those of the next.
-
-The leverage of a fit is how much of each pixel it takes for itself.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -18,20 +16,12 @@ import numpy as np
 from sabench.algorithms.particles import model_moves
 from sabench.algorithms.particles.image_model import (
     MARGIN_PX,
-    UNSEEN,
     ImageModel,
     ModelParticles,
     Room,
-    Sum,
-    copy_row,
-    fill_image,
-    fill_slopes,
     make_room,
     paint_all,
-    place_windows,
-    sum_up,
 )
-from sabench.algorithms.particles.joint_fit import factorise_cholesky, fill_inverse_diagonal
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
@@ -207,20 +197,6 @@ def _measure(
     return out
 
 
-def leverage(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Compute (camera, row, column) what fits take of each pixel, with margins."""
-    taken = _measure(tell_taken, model, sigma, particles, np.zeros((*particles.light.shape, 2)))
-    out = np.zeros(model.images.shape)
-
-    def add(camera: int) -> None:
-        view, room = _of_camera(model, sigma, camera)
-        camera_taken = np.ascontiguousarray(taken[:, camera])
-        add_leverage(view, room, _in_camera(particles, camera), camera_taken, out[camera])
-
-    for_each(add, len(sigma))
-    return out
-
-
 def _of_camera(model: ImageModel, sigma: F64, camera: int) -> tuple[ImageModel, Room]:
     """Return a view of one camera alone, and room with windows as wide as in all."""
     part = slice(camera, camera + 1)
@@ -238,50 +214,3 @@ def _in_camera(particles: ModelParticles, camera: int) -> ModelParticles:
 def some_rows(particles: ModelParticles, rows: slice) -> ModelParticles:
     """Return a view of some of the particles."""
     return ModelParticles(particles.position[rows], particles.light[rows], particles.alive[rows])
-
-
-@numba.njit(cache=True, nogil=True)
-def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
-    """Fill in what the fit of particles takes of each camera's pixels (n, camera, 2).
-
-    The first is the factor of the image's square, from the camera's share in the information about
-    the light. The second is that of the squares of the image's derivatives, from its share in the
-    information about the position. Both are 0 where a camera does not see the particle. Neighbours
-    count as known.
-    """
-    cameras = len(model.typical)
-    for n in range(len(particles.position)):
-        sum_up(model, room, particles.position[n], particles.light[n])
-        for c in range(cameras):
-            copy_row(model.precision[c], room.bend[c])
-            room.bend[c, c] += particles.light[n, c] ** 2 * room.sums[c, Sum.WEIGHT]
-        factorise_cholesky(room.bend)
-        fill_inverse_diagonal(room.bend, room.pull, room.logs)
-        for c in range(cameras):
-            weight, slopes = room.sums[c, Sum.WEIGHT], room.sums[c, Sum.XX] + room.sums[c, Sum.YY]
-            taken[n, c] = 0.0
-            if min(weight, slopes) > UNSEEN:
-                taken[n, c, 0] = room.pull[c] * particles.light[n, c] ** 2
-                taken[n, c, 1] = 3.0 / cameras / slopes
-
-
-@numba.njit(cache=True, nogil=True)
-def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: Any) -> None:
-    """Add up, by `tell_taken`, what particles take of the one camera's pixels.
-
-    The pixels include margins.
-    """
-    image, by_x, by_y = np.zeros((3, room.window, room.window), dtype=np.float32)
-    weights, corner = model.weight[0], room.corner[0]
-    for n in range(len(particles.position)):
-        if not taken[n, 1] > 0.0:
-            continue
-        place_windows(model, room, particles.position[n])
-        fill_image(model, room, 0, image)
-        fill_slopes(model, room, 0, by_x, by_y)
-        for i in range(room.window):
-            for j in range(room.window):
-                slopes = by_x[i, j] * by_x[i, j] + by_y[i, j] * by_y[i, j]
-                share = taken[n, 0] * image[i, j] * image[i, j] + taken[n, 1] * slopes
-                row, column = corner[1] + i, corner[0] + j
-                leverage[row, column] += share * abs(weights[row, column])

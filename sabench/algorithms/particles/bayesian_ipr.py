@@ -37,8 +37,8 @@ once more without areas that something hides, or cameras that contradict the oth
 `split_and_find`: split, fit, find, remove, learn the images' shapes. Last, what some cameras do not
 see (`obstacles`).
 
-Stopping. Rounds end when the number of particles grows by less than 2 %, splits when they add less
-than a thousandth, and all at the deadline.
+Stopping. Rounds end when the number of particles grows by less than 2 %, splits when they add
+none, and all at the deadline.
 """
 
 from dataclasses import dataclass, replace
@@ -67,7 +67,6 @@ _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, 
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
-_NOTABLE = 0.001  # of the particles: fewer new ones end the rounds
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
 
@@ -151,7 +150,7 @@ def search_frame(
         if frame.deadline.over:
             break
         learned_model.weigh_pixels(search, CAPS[1])
-        if split_and_find(search) < _NOTABLE * len(search.position):
+        if not split_and_find(search):
             break
     learned_model.weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)

@@ -33,8 +33,7 @@ from sabench.utils.threads import on_cores
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
 _NARROWEST = 0.4  # px: least width of images that a lattice of pixels' steps does not miss
-_FLATTEST = 2.0  # pixels: longest step of the lattice, in space
-_DEEPEST = 3.0  # of the longest step along the depth over one across
+_FLATTEST = 2.0  # pixels: longest step in space, of the lattice and of splits
 _DARK = np.float32(-np.inf)
 FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too often
 
@@ -92,7 +91,7 @@ def split_directions(maps: VolumePolynomials) -> F64:
     least = np.argsort(np.abs(depth), kind="stable")[0]  # the world's axis that is most across
     across = np.eye(3)[least] - depth[least] * depth
     across /= np.linalg.norm(across)
-    longer = min(math.sqrt(values[1] / max(values[0], 1e-300)), _DEEPEST)
+    longer = min(math.sqrt(values[1] / max(values[0], 1e-300)), _FLATTEST)
     frame = np.stack([across, np.cross(depth, across), longer * depth])
     # half of the neighbours of a cell in a lattice, but those across its corners
     cells = itertools.product((0.0, 1.0, -1.0), repeat=3)

@@ -28,12 +28,8 @@ from sabench.utils.vector_units import (
     OWN_X,
     OWN_Y,
     PLAIN,
-    PLAIN_BY_X,
-    PLAIN_BY_Y,
     PROFILES,
     SHAPED,
-    SHAPED_BY_X,
-    SHAPED_BY_Y,
     SLOPE_X,
     SLOPE_Y,
     TILT_SLOPE_Y,
@@ -271,17 +267,6 @@ def fill_image(model: Any, room: Any, c: int, image: Any) -> None:
         _fill_products(room, c, PLAIN, image)
     else:
         _fill_products(room, c, SHAPED, image)
-
-
-@numba.njit(cache=True)
-def fill_slopes(model: Any, room: Any, c: int, by_x: Any, by_y: Any) -> None:
-    """Fill in the derivatives of `fill_image` by the centre's column and row."""
-    if is_plain(model.shapes, c):
-        _fill_products(room, c, PLAIN_BY_X, by_x)
-        _fill_products(room, c, PLAIN_BY_Y, by_y)
-    else:
-        _fill_products(room, c, SHAPED_BY_X, by_x)
-        _fill_products(room, c, SHAPED_BY_Y, by_y)
 
 
 @numba.njit(cache=True)

@@ -133,23 +133,6 @@ def log_determinant(factor: Any) -> float:
 
 
 @numba.njit(cache=True)
-def fill_inverse_diagonal(factor: Any, diagonal: Any, column: Any) -> None:
-    """Fill in the diagonal (n,) of a factorised matrix's inverse.
-
-    `column` is scratch.
-    """
-    count = len(factor)
-    for k in range(count):
-        diagonal[k] = 0.0
-        for i in range(k, count):
-            value = 1.0 if i == k else 0.0
-            for j in range(k, i):
-                value -= factor[i, j] * column[j]
-            column[i] = value / factor[i, i]
-            diagonal[k] += column[i] ** 2
-
-
-@numba.njit(cache=True)
 def _substitute(factor: Any, right: Any) -> None:
     count = len(right)
     for i in range(count):

@@ -19,13 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.linking import NEIGHBOURS, assign
+from sabench.algorithms.particles.linking import ENOUGH, NEIGHBOURS, assign
 from sabench.algorithms.particles.particle_search import joined, no_particles
 from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, FROM_MAD, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
-ENOUGH = 16  # links, or predictions, for a measurement of the motion
 _SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
 _BY_TRACK = ("number", "state", "covariance", "light", "sightings", "missed")
 ANY_SPEED = 1e6  # mm/s

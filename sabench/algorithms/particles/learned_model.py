@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.particles.all_particles import some_rows
-from sabench.algorithms.particles.claimed_errors import fit_line
 from sabench.algorithms.particles.image_model import (
     MARGIN_PX,
     MOST_FLAT,
@@ -28,6 +27,7 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
 )
 from sabench.algorithms.particles.joint_fit import FARTHEST_PX, OWN_ERROR, learn_covariance
+from sabench.algorithms.particles.model_moves import NEAR
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.geometry.volume_polynomials import project_points
 from sabench.images.gaussian_kernels import fill_derivatives
@@ -53,8 +53,7 @@ _CLIP = 30.0  # mean squares: largest contribution of a pixel; .005 of F1 of rea
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
 # Isolated particles:
-_OVERLAP = 4.8  # widths of images: the distance of those that overlap, or reach the border
-_ALONE, _HARDLY = 0.03, 0.1  # share and overlap of isolated particles
+_HARDLY = 0.1  # overlap of isolated particles
 _PARTS = 16  # of the particles, summed apart: the number of cores does not matter
 
 
@@ -151,6 +150,16 @@ def align_cameras(search: ParticleSearch) -> None:
 
 
 @numba.njit(cache=True)
+def _fit_line(total: float, x: float, y: float, xx: float, xy: float) -> tuple[float, float]:
+    """Fit a line to sums of weights, x, y, x^2, x y; returns value at 0 and slope."""
+    if not total > 0.0:
+        return 0.0, 0.0
+    bend = xx - x * x / total
+    slope = (xy - x * y / total) / bend if bend > 1e-12 * xx else 0.0
+    return (y - slope * x) / total, slope
+
+
+@numba.njit(cache=True)
 def _miss(left: float, saturated: bool) -> float:
     """Return what is left of a pixel; 0 where a saturated one has enough."""
     return 0.0 if saturated and left < 0.0 else left
@@ -186,7 +195,7 @@ def fill_variance(
                 light = _modelled(image[i, j], left[i, j])
                 square = min(_miss(left[i, j], saturated[i, j]) ** 2, clip)
                 x, y, xx, xy = x + light, y + square, xx + light * light, xy + light * square
-    even, slope = fit_line(float(count), x, y, xx, xy)
+    even, slope = _fit_line(float(count), x, y, xx, xy)
     even, slope = max(even, dark), max(slope, 0.0)
     for i in range(rows):
         for j in range(columns):
@@ -201,10 +210,10 @@ def _find_lone(search: ParticleSearch) -> I64:
     if len(position) < FEW:
         return np.zeros(0, dtype=np.int64)
     pixels = np.stack([project_points(maps, camera, position) for camera in range(len(sigma))])
-    border = (_OVERLAP * sigma.max(axis=1))[:, None, None]
+    reach = NEAR * sigma.max(axis=1)
+    border = reach[:, None, None]
     last = np.array(search.images.shape[:0:-1]) - 1.0
     inside = ((pixels > border) & (pixels < last - border)).all(axis=(0, 2))
-    reach = _OVERLAP * sigma.max(axis=1)
     starts, near = near_images(pixels, reach)
     overlap = np.zeros(len(position))
 
@@ -213,8 +222,7 @@ def _find_lone(search: ParticleSearch) -> I64:
 
     share_rows(add, len(position))
     least = np.sort(np.where(inside, overlap, np.inf))
-    rank = min(max(FEW, int(_ALONE * len(overlap))), len(overlap) - 1)
-    most = max(least[rank], _HARDLY * len(sigma))
+    most = max(least[min(FEW, len(least) - 1)], _HARDLY * len(sigma))
     return np.flatnonzero(inside & (overlap <= most))
 
 

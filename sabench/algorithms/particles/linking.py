@@ -36,7 +36,7 @@ NEIGHBOURS = 8  # whose displacements a trajectory is compared with
 _MOST = 100
 # least and largest errors of predictions: in the same unit, and of the logarithm of radii
 _POSITION_ERROR, _SIZE_ERROR = (0.05, 0.2), (0.03, 0.15)
-_ENOUGH = 8  # links for a measurement of these errors
+ENOUGH = 8  # links, or predictions, for a measurement of errors or motion
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,7 @@ def _unlike(live: _Trajectories, points: _Points, row: I64, column: I64, scale: 
 def _estimate_scale(scale: _Scale, linked: _Trajectories, points: _Points, j: I64) -> _Scale:
     """Estimate errors of predictions: the median magnitude, as of normal errors."""
     old = ~linked.young
-    if old.sum() < _ENOUGH:
+    if old.sum() < ENOUGH:
         return scale
     tracks, j = linked[old], j[old]
     ahead = tracks.position + tracks.velocity * (points.time[j] - tracks.time)[:, None]

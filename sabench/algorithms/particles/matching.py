@@ -35,8 +35,7 @@ from sabench.utils.threads import Deadline
 
 MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
 _MOST_BY_CHANCE = 5.0  # sets of particle images with each one: beyond, nearly all are ghosts
-_NEAR = 64  # particle images looked at around one position
-_ROOM = 50  # sets of each of the first camera's images that have memory
+_ROOM = 64  # for particle images around a position, and for sets of each of the first camera's
 _STEPS = 2  # of the least-squares fit of a position
 _BATCH = 64  # of the first camera's images between two looks at the clock
 SEARCHED = 1.5  # times the reach: search radius of images
@@ -287,7 +286,7 @@ def _follow(
     cameras, count = len(peaks), 0
     position, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
     near, tried, chosen = (
-        np.zeros(_NEAR, dtype=np.int64),
+        np.zeros(_ROOM, dtype=np.int64),
         np.zeros(512, dtype=np.int64),
         np.zeros(cameras, dtype=np.int64),
     )
@@ -350,7 +349,7 @@ def _within(position: Any, bound: float) -> bool:
 @numba.njit(cache=True)
 def _others(maps: Any, peaks: Any, chosen: Any, position: Any, radius: float, covered: Any) -> bool:
     """Choose the nearest image in each other camera; False if an open one shows none."""
-    here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64)
+    here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_ROOM, dtype=np.int64)
     for c in range(2, len(peaks)):
         project_point(maps, c, position, here, slope)
         nearest = radius * SEARCHED

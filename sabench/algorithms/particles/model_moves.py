@@ -41,7 +41,7 @@ from sabench.utils.compiled import numba
 from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 
 # Removals:
-_NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera
+NEAR = 3.6  # widths of images: distance of those that overlap
 _SURE = 4.0  # times its penalty: a particle that gains so much is not tried again
 
 # Splits:
@@ -52,7 +52,7 @@ _SETTLE = 6  # fits of the two particles of a split
 def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
     """List, as `near_images`, particles a few widths (camera, 2) apart in a camera."""
     pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
-    return near_images(np.stack(pixels), _NEAR * sigma.max(axis=1))
+    return near_images(np.stack(pixels), NEAR * sigma.max(axis=1))
 
 
 @numba.njit(cache=True, nogil=True)

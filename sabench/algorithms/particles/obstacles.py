@@ -36,7 +36,6 @@ _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of the light that is expected there
 
 # Partly hidden particles:
-_SOME = 3e-4  # of the particles: fewer that a set of cameras hides are no reason to try larger ones
 _TRIED = 100  # sets of so many blind cameras, the most promising ones
 _DENIED = -10.0  # decrease of the cost by a particle's light in a camera that does not see it
 
@@ -153,7 +152,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
             if _find(part):
                 parts.append(part)
                 _subtract(search, part)
-            if len(part.position) > _SOME * search.number:
+            if len(part.position):
                 hidden[blind] = len(part.position)
     # particles that up to `most` cameras deny, by these cameras
     denied = light_gains(search.model(), search.widest, search.particles()) < _DENIED

@@ -44,9 +44,7 @@ _MORE = 0.5  # of the particles so far: new candidates
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
 _TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
-# units of the cost, and times the median particle's predicted gain (images that are a little wider
-# than the model's predict one everywhere): particles with a larger predicted gain are tried
-_PROMISING, _TYPICAL = 3.0, 2.0
+_PROMISING = 3.0  # units of the cost: particles with a larger predicted gain are tried
 _APART = 1.1  # widths: distance of the two of a split from their middle
 
 
@@ -181,7 +179,7 @@ class ParticleSearch:
         light = np.zeros((len(self.light), len(self.shown)))
         light[:, self.shown] = self.light
         position = points_in_mm(self.maps, self.position)
-        errors = claimed_covariances(self.model(), self.widest, self.particles(), self.noise)
+        errors = claimed_covariances(self.model(), self.particles(), self.noise)
         return FoundParticles(
             position,
             brightness.mean(axis=1),
@@ -375,9 +373,8 @@ class ParticleSearch:
         width = float(self.sigma.max())
         steps = _APART * width / self.maps.half_mm * candidate_search.split_directions(self.maps)
         gains = all_particles.split_gains(model, self.widest, self.particles(), steps)
-        least = _PROMISING + _TYPICAL * float(np.median(gains)) if count else 0.0
         order = np.argsort(-gains, kind="stable")
-        order = order[gains[order] > least]
+        order = order[gains[order] > _PROMISING]
         self.sure[order] = False
         self.append(self.position[order], self.light[order])
         spare = np.zeros(count, dtype=np.int64)

@@ -36,7 +36,6 @@ def outcome(maps: Maps) -> list[F64 | F32]:
     return [
         model.left,
         camera_misses(model, SIGMAS, particles),
-        all_particles.leverage(model, SIGMAS, particles),
         all_particles.split_gains(model, SIGMAS, particles, 0.02 * np.eye(3)),
     ]
 
@@ -63,14 +62,6 @@ def test_threads_change_nothing(maps: Maps) -> None:
         numba.set_num_threads(MOST)
     for a, b in zip(many, one, strict=True):
         assert_array_equal(a, b)
-
-
-def test_a_fit_takes_as_much_as_it_has_unknowns(maps: Maps) -> None:
-    points = unit_points(COUNT)[:1]
-    light = np.full((1, 4), 1000.0 * TYPICAL)  # the prior tells nothing
-    model = model_of(maps, paint(maps, points, light, ROWS, COLUMNS), between=1.0)
-    taken = all_particles.leverage(model, SIGMAS, particles_of(points, light))
-    assert taken.sum() == pytest.approx(4.0 + 3.0, rel=0.01)
 
 
 GROUPED, WINDOW, PORTIONS = 600, 8, 3

@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal
 from sabench.algorithms.particles import image_model
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
 from sabench.utils.arrays import F64
+from sabench.utils.vector_units import SHAPED_BY_X, SHAPED_BY_Y
 from tests.helpers.image_model import SIGMA, model_of, particles_of, room_of
 from tests.helpers.particle_box import COLUMNS, ROWS, Maps
 
@@ -92,8 +93,11 @@ def test_slopes_are_the_images(maps: Maps, correlation: float, flatness: float) 
     model, room = shaped(maps, correlation, flatness)
     step = 1e-3
     image_model.place_windows(model, room, PLACE)
-    by_x, by_y = np.zeros((2, room.window, room.window))
-    image_model.fill_slopes(model, room, CAMERA, by_x, by_y)
+    rows = room.profiles[CAMERA, :, : room.window]
+    by_x, by_y = (
+        sum(np.outer(rows[down], rows[across]) for across, down in pairs)
+        for pairs in (SHAPED_BY_X, SHAPED_BY_Y)
+    )
     for axis in range(3):
         along = room.slope[CAMERA, :, axis].copy()
         moved = [image_of(model, room, PLACE + sign * step * np.eye(3)[axis]) for sign in (-1, 1)]
@@ -147,6 +151,6 @@ def test_a_claim_is_the_bound_of_the_shape(maps: Maps, correlation: float, flatn
     expected = bound * np.outer(maps.half_mm, maps.half_mm)
     particles = particles_of(POINT[None], np.full((1, 4), LIGHT))
     model.left[:] = 0.0
-    found = claimed_covariances(model, np.tile(WIDTHS, (4, 1)), particles, np.full(4, NOISE))[0]
+    found = claimed_covariances(model, particles, np.full(4, NOISE))[0]
     ratio = np.linalg.eigvals(np.linalg.solve(expected, found)).real
     assert ratio == pytest.approx(np.ones(3), abs=0.1)

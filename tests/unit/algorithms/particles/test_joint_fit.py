@@ -207,12 +207,10 @@ def test_scatter_between_cameras_leaves_out_what_they_share() -> None:
     assert joint_fit.scatter_between(np.array([[0.2]])) == pytest.approx(math.sqrt(0.2))
 
 
-def test_factors_give_the_determinant_and_the_diagonal_of_the_inverse() -> None:
+def test_factors_give_the_determinant() -> None:
     matrix = np.random.default_rng(6).standard_normal((5, 5))
     matrix = matrix @ matrix.T + np.eye(5)
-    factor, diagonal = matrix.copy(), np.zeros(5)
+    factor = matrix.copy()
     joint_fit.factorise_cholesky(factor)
     assert joint_fit.log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
     assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
-    joint_fit.fill_inverse_diagonal(factor, diagonal, np.zeros(5))
-    assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))
