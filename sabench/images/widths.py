@@ -141,8 +141,8 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
         for of in (light, count)
     )
     over = np.asarray(light - count * sums / np.maximum(counts, 1.0))
-    steps = [(d * i, d * j) for d in (SPOT_PX - 1, SPOT_PX) for i, j in ((0, 1), (1, 0))]
-    apart = [_product(over, count, *step) for step in steps]  # such pixels share no particle
+    beyond = (SPOT_PX - 1, SPOT_PX)  # px: so far apart, pixels share no particle
+    apart = [_product(over, count, *step) for d in beyond for step in ((0, d), (d, 0))]
     far = sum(apart) / len(apart)
     widest = _MOST_SIGMA**2 + PIXEL
     steps = (0, 1), (1, 0)

@@ -44,7 +44,6 @@ from sabench.algorithms.particles.dense_start import (
     search_window,
 )
 from sabench.algorithms.particles.kalman_tracks import (
-    ENOUGH,
     MATURE,
     KalmanTracks,
     TrackedFrame,
@@ -53,7 +52,7 @@ from sabench.algorithms.particles.kalman_tracks import (
     with_motion,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
-from sabench.algorithms.particles.linking import GATE, NEIGHBOURS, link
+from sabench.algorithms.particles.linking import ENOUGH, GATE, NEIGHBOURS, link
 from sabench.algorithms.particles.obstacles import hide_unseen
 from sabench.algorithms.particles.particle_search import FLOORS, ParticleSearch
 from sabench.api import FoundParticles, Observation
