@@ -16,7 +16,7 @@ from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 
 FLATTEST_DEGREES = 15.0  # least angle between a line of sight and a plane that is looked at
-_NODES = 49  # of the lattice along each axis; an odd number has a middle
+NODES = 49  # of the lattice along each axis; an odd number has a middle
 _MOST_VOXELS = 1_000_000  # along an axis
 
 
@@ -63,10 +63,10 @@ def propose_box(cameras: Sequence[CameraModel]) -> tuple[F64, F64]:
             "camera; give the volume"
         )
     reach = pixel_size_mm(cameras, middle) * max(max(c.rows, c.columns) for c in cameras)
-    steps = reach * np.linspace(-1.0, 1.0, _NODES)
+    steps = reach * np.linspace(-1.0, 1.0, NODES)
     points = np.stack(np.meshgrid(*(steps + at for at in middle), indexing="ij"), axis=-1)
-    visible = seen_by_all(cameras, points.reshape(-1, 3)).reshape((_NODES,) * 3)
-    if not visible[(_NODES // 2,) * 3]:
+    visible = seen_by_all(cameras, points.reshape(-1, 3)).reshape((NODES,) * 3)
+    if not visible[(NODES // 2,) * 3]:
         raise InputError(
             f"volume: expected all cameras to see {_words(middle)} mm, where the middles of their "
             "images meet, but some do not; give the volume, or check the calibration"
@@ -94,7 +94,7 @@ def seen_by(camera: CameraModel, points_mm: F64) -> Bool:
 
 
 def _grow(visible: Bool) -> tuple[list[int], list[int]]:
-    first, last = [_NODES // 2] * 3, [_NODES // 2] * 3
+    first, last = [NODES // 2] * 3, [NODES // 2] * 3
     growing = list(itertools.product(range(3), (False, True)))
     while growing:
         for axis, upwards in list(growing):
@@ -102,7 +102,7 @@ def _grow(visible: Bool) -> tuple[list[int], list[int]]:
             at = (last[axis] + 1) if upwards else (first[axis] - 1)
             low[axis] = high[axis] = at
             face = tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))
-            if not 0 <= at < _NODES or not visible[face].all():
+            if not 0 <= at < NODES or not visible[face].all():
                 growing.remove((axis, upwards))
             elif upwards:
                 last[axis] = at

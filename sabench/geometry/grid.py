@@ -14,8 +14,8 @@ from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.errors import InputError
 
-_AT_ONCE = 2**22  # voxels of particles in memory at a time
-_REACH = 4.0  # standard deviations after which a particle's field is cut: 3e-4 of its peak
+AT_ONCE = 1 << 22  # numbers in memory at a time: bounds memory, not results
+REACH = 4.0  # standard deviations after which a Gaussian is cut: 3e-4 of its peak
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     """
     voxels = grid.to_voxels(positions_mm)
     sigma = sigma_mm / np.asarray(grid.voxel_mm)
-    radius = np.ceil(_REACH * sigma + 0.5).astype(np.int64)
+    radius = np.ceil(REACH * sigma + 0.5).astype(np.int64)
     size = np.asarray(grid.shape[::-1])
     near = ((voxels >= -1.0 - radius) & (voxels <= size + radius)).all(axis=1) & (weights != 0.0)
     nearest = np.rint(voxels[near]).astype(np.int64)
@@ -117,7 +117,7 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     first, light = np.where(whole, 0, nearest - radius), weights[near].astype(np.float32)
     begin = first - nearest
     field: F32 = np.zeros(grid.shape, dtype=np.float32)
-    at_once = max(1, _AT_ONCE // int(count.prod()))
+    at_once = max(1, AT_ONCE // int(count.prod()))
     for row in range(0, len(first), at_once):
         some = slice(row, row + at_once)
         x, y, z = (

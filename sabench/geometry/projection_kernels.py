@@ -21,7 +21,7 @@ from sabench.geometry.refraction import HALLEY, NEWTON, Wall
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 
-_BLOCK = 256
+BLOCK = 256
 # relative change after which Halley's next would be below rounding; Newton's is asked for the
 # square root of rounding
 _SMALL, _SMALLER = np.cbrt(np.finfo(float).eps), np.sqrt(np.finfo(float).eps)
@@ -135,14 +135,14 @@ def project(
     ax, ay, az, bx, by, bz, nx, ny, nz = frame
     m00, m01, m02, m10, m11, m12, m20, m21, m22, pu, pv = lens
     across, down, deep, square, slope = (
-        np.empty(_BLOCK),
-        np.empty(_BLOCK),
-        np.empty(_BLOCK),
-        np.empty(_BLOCK),
-        np.empty(_BLOCK),
+        np.empty(BLOCK),
+        np.empty(BLOCK),
+        np.empty(BLOCK),
+        np.empty(BLOCK),
+        np.empty(BLOCK),
     )
-    for start in range(0, len(x), _BLOCK):
-        size = min(_BLOCK, len(x) - start)
+    for start in range(0, len(x), BLOCK):
+        size = min(BLOCK, len(x) - start)
         for i in range(size):
             px, py, pz = x[start + i] - cx, y[start + i] - cy, z[start + i] - cz
             a, b = px * ax + py * ay + pz * az, px * bx + py * by + pz * bz

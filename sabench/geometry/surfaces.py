@@ -134,11 +134,7 @@ class HeightMap(Surface):
         return _read_heights(self.file, self.spacing_mm)
 
 
-SURFACES: dict[str, type[Surface]] = {
-    "plane": Plane,
-    "cylinder": Cylinder,
-    "height_map": HeightMap,
-}
+SURFACES: dict[str, type[Surface]] = {"plane": Plane, "cylinder": Cylinder, "height_map": HeightMap}
 
 
 def bend(points_mm: F64, radius_mm: float) -> F64:

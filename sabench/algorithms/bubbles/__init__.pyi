@@ -1,7 +1,4 @@
-from .backlit_images import (
-    Profile as Profile,
-    transmission as transmission,
-)
+from .backlit_images import Profile as Profile, transmission as transmission
 from .ellipse_detection import (
     find_edges as find_edges,
     find_ellipses as find_ellipses,

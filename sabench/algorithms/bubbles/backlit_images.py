@@ -20,12 +20,12 @@ import numpy as np
 from scipy.special import i0e
 
 from sabench.api import Observation
+from sabench.geometry.grid import REACH
 from sabench.utils.arrays import F32, F64
 
 _SOFT = 0.15  # of the diffuser's half angle: it is not round, and not seen from its axis
 _SAMPLES = 160  # of the sharp profile, and of radii and distances in the table
 SMALLEST, LARGEST = 0.4, 60.0  # px
-REACH = 4.0  # widths of the blur beyond the rim
 DIM = 0.02  # of white, or of the diffuser: what is darker is as good as black
 
 

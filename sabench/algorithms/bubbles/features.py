@@ -30,7 +30,6 @@ from sabench.utils.threads import on_cores
 WINDOW = 7  # voxels: l_x = l_y
 STACK = 50  # planes of a minimum image
 _SHARP = 2.0  # v of equation 5.15 for a window of unit variance
-_FLAT = 0.02  # spread of an empty window
 
 
 def darkness(case: Observation) -> F32:
@@ -46,7 +45,7 @@ def darkness(case: Observation) -> F32:
     return np.asarray(np.exp2(volume, out=volume))
 
 
-def compute_potential(volume: F32, step: int, flat: float = _FLAT) -> F32:
+def compute_potential(volume: F32, step: int, flat: float = DIM) -> F32:
     """Compute the feature potential E of equations 5.15 and 5.16.
 
     Returns (z, window rows, window columns) for windows `step` voxels apart; 0 where the spread is
@@ -282,7 +281,6 @@ def merge_overlaps(shapes: F64, grid: Grid) -> F64:
 
 STEP = WINDOW // 2  # voxels between windows that overlap by half
 PLANES = 10  # from a group's strongest peak to the others
-_NEAR = 5  # planes on both sides of the darkest one that make a depth
 _OVERLAP = 0.8  # of the larger one's semi-axis: bubbles with nearer centres are one
 _LARGER = 1.5  # times: the smaller one of two is a part of the other
 
@@ -361,7 +359,7 @@ def find_depth(volume: F32, outline: F64, plane: int) -> float:
         return float(plane)
     dark = stack.mean(axis=1, dtype=np.float64)
     index = np.arange(len(dark))
-    weight = np.where(np.abs(index - dark.argmax()) <= _NEAR, dark**2, 0.0)
+    weight = np.where(np.abs(index - dark.argmax()) <= PLANES // 2, dark**2, 0.0)
     return first + float(np.average(index, weights=weight)) if weight.any() else float(plane)
 
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from sabench.algorithms.bubbles.backlit_images import DIM
 from sabench.api.observations import Observation
+from sabench.images.widths import SPOT_PX
 from sabench.utils.arrays import F32, U8, U16, Bool
 
 _SIGMAS = 5.0  # above the diffuser's noise: a tracer
-_TRACER_PX = 7  # width of a tracer's image, which the others do not get
 _DARK = 0.6  # of the diffuser: bubbles' rims and bodies are darker
 
 
@@ -70,14 +70,12 @@ def _separate(light: F32, largest_px: float, white: float) -> tuple[F32, F32, Bo
     diffuser, noise = _diffuser(light)
     if diffuser < DIM * white:
         return light, np.zeros_like(light), np.zeros(light.shape, dtype=np.bool_)
-    opened = np.asarray(
-        cv2.morphologyEx(light, cv2.MORPH_OPEN, _disc(_TRACER_PX)), dtype=np.float32
-    )
+    opened = np.asarray(cv2.morphologyEx(light, cv2.MORPH_OPEN, _disc(SPOT_PX)), dtype=np.float32)
     peaks = light - opened
     above = light - cv2.medianBlur(light, 5) > _SIGMAS * noise  # few tracers fill five pixels
     body = _wide(opened < _DARK * diffuser, largest_px)
     bright = above & (body | (light > diffuser + _SIGMAS * noise))
-    around = cv2.dilate(bright.astype(np.uint8), _disc(_TRACER_PX)) > 0
+    around = cv2.dilate(bright.astype(np.uint8), _disc(SPOT_PX)) > 0
     shadows = _filled(np.minimum(light, diffuser + noise), around)
     body = _wide(shadows < _DARK * diffuser, largest_px)
     shadows[cv2.dilate(body.astype(np.uint8), _disc(3)) > 0] = diffuser
@@ -97,8 +95,8 @@ def _diffuser(light: F32) -> tuple[float, float]:
 def _filled(light: F32, holes: Bool) -> F32:
     """Fill pixels from those around them."""
     valid = (~holes).astype(np.float32)
-    weight = cv2.GaussianBlur(valid, (0, 0), _TRACER_PX / 2.0)
-    mean = cv2.GaussianBlur(light * valid, (0, 0), _TRACER_PX / 2.0) / np.maximum(weight, 1e-6)
+    weight = cv2.GaussianBlur(valid, (0, 0), SPOT_PX / 2.0)
+    mean = cv2.GaussianBlur(light * valid, (0, 0), SPOT_PX / 2.0) / np.maximum(weight, 1e-6)
     return np.asarray(np.where(holes, mean, light), dtype=np.float32)
 
 

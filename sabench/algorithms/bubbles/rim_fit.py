@@ -31,8 +31,9 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.bubbles.backlit_images import DIM, LARGEST, REACH, SMALLEST, Profile
+from sabench.algorithms.bubbles.backlit_images import DIM, LARGEST, SMALLEST, Profile
 from sabench.geometry.camera import Camera
+from sabench.geometry.grid import REACH
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 

@@ -66,12 +66,7 @@ def equations(
 
 
 def spreads(
-    frame: WallFrame,
-    state: State,
-    board: F64,
-    views: Seen,
-    free: FreeParameters,
-    covariance: F64,
+    frame: WallFrame, state: State, board: F64, views: Seen, free: FreeParameters, covariance: F64
 ) -> F64:
     """Compute covariances (M, K, m, 3) as `normal_equations.spreads` does."""
     cameras, count = views[1].shape[:2]

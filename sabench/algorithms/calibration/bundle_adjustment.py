@@ -45,8 +45,8 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
     return np.vstack([rows.reshape(-1, len(shared)), np.eye(len(shared))])
 
 
-_STEPS = 200
-_HARDLY = 1e-9  # relative decrease of the cost, and damping, that change nothing
+STEPS = 200  # at most
+HARDLY = 1e-9  # relative decrease of the cost, and damping, that change nothing
 
 
 Moving = Literal["all", "cameras", "boards"]
@@ -219,12 +219,12 @@ def refine(
     a shift along it and a rotation about its normal.
     """
     here, damping = normal_equations(state, views, free, scale), 1e-3
-    for step in range(_STEPS):
+    for step in range(STEPS):
         if not math.isfinite(here.cost):
             return Fit(state, here.cost, step, False)
         while damping < 1e12:
             cameras, boards, promise = _step(here, damping, moving)
-            if promise <= _HARDLY * here.cost:
+            if promise <= HARDLY * here.cost:
                 return Fit(state, here.cost, step, True)
             steps = parameters.steps_of(cameras, len(state.rotations), free, len(state.indices))
             tried = state.apply_steps(*steps, boards, free)
@@ -235,12 +235,12 @@ def refine(
             damping *= 10.0
         else:
             return Fit(state, here.cost, step, False)
-    return Fit(state, here.cost, _STEPS, False)
+    return Fit(state, here.cost, STEPS, False)
 
 
 def promised_gain(normal: Normal) -> float:
     """Compute the decrease of the cost by a step, if the cost is quadratic."""
-    return _step(normal, _HARDLY, "all")[2]
+    return _step(normal, HARDLY, "all")[2]
 
 
 def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, float]:

@@ -14,10 +14,6 @@ from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.geometry.rigid_motion import skew
 from sabench.utils.arrays import F64, Bool
 
-# eigenvalues below this fraction of the largest belong to what the observations leave open
-_FREE = 1e-13
-_SHOWN = 1e-6  # square of an unknown's part in what is left open, below which it is none of it
-
 
 @dataclass(frozen=True)
 class Limit:
@@ -99,9 +95,10 @@ def _inverse(information: F64) -> tuple[F64, int, Bool]:
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     values, vectors = np.linalg.eigh(information * scale * scale[:, None])
-    nonzero = values > _FREE * values[-1]
+    rounding = np.finfo(np.float64).eps
+    nonzero = values > len(values) * rounding * values[-1]  # the others are open
     half = scale[:, None] * vectors[:, nonzero] / np.sqrt(values[nonzero])
-    shown = np.sum(vectors[:, ~nonzero] ** 2, axis=1) < _SHOWN
+    shown = np.sum(vectors[:, ~nonzero] ** 2, axis=1) < np.sqrt(rounding)
     return half @ half.T, int(nonzero.sum()), shown
 
 

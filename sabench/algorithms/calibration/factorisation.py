@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sabench.algorithms.calibration.bundle_adjustment import HARDLY, STEPS
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 
 _ROUNDS = 50
-_STEPS = 100
 _FOCAL = 0.01  # weight of focal lengths against principal points and square pixels
 
 
@@ -68,7 +68,7 @@ def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
     frame[:, :3] = np.linalg.svd(frame[None, :, 3])[2][1:].T
     matrices, points = _rescale(factors.matrices, factors.points, frame)
     cost, damping = _cost(matrices, points, images, seen), 1e-3
-    for _ in range(_STEPS):
+    for _ in range(STEPS):
         step = _projective_step(matrices, points, images, seen, damping)
         changed, moved = matrices + step[0], points + step[1]
         new = _cost(changed, moved, images, seen)
@@ -77,7 +77,7 @@ def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
             matrices = changed / np.linalg.norm(changed, axis=(1, 2), keepdims=True)
             points, cost = moved, new
         damping *= 0.1 if better else 10.0
-        if (better and gain < 1e-10 * cost) or damping > 1e9:
+        if (better and gain < HARDLY * cost) or damping > 1e9:
             break
     return Factors(matrices, np.column_stack([points, np.ones(len(points))]))
 

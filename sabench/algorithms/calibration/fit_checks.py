@@ -8,6 +8,7 @@ from dataclasses import fields
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.stats import rayleigh
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.parameters import State, WallFrame
@@ -17,9 +18,10 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 
 _LEAST_INDEX = 0.99  # of any medium
+FEWEST = 4  # points that show the pose of a plane, or its homography
 FLAT = 1e-3  # width over length of what counts as a line, thickness over width of a plane
 # standard deviations of a coordinate that misses of right points exceed at the rate of false alarms
-ODD = np.sqrt(-2.0 * np.log(FALSE_ALARMS))
+ODD = rayleigh.isf(FALSE_ALARMS)
 
 
 def list_faults(state: State, views: BoardImages, frame: WallFrame) -> list[str]:

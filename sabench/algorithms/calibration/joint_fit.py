@@ -49,8 +49,8 @@ from sabench.algorithms.calibration.problem import CalibrationProblem, make_anch
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.utils.arrays import F64, I64, Bool
 
-_ROUNDS = 10  # of weights, at most
-_SAME_NOISE = 0.1  # relative change of the noise below which weights stay
+ROUNDS = 10  # at most
+SAME_NOISE = 0.1  # relative change of the noise below which weights stay
 CAUCHY = 3.0  # scale of Cauchy's loss over the noise
 LEAST_NOISE_PX = 1e-3  # of any detection; weights of known positions are finite
 
@@ -94,7 +94,7 @@ def adjust(
     if _lengths(fit.state, seen)[used].max(initial=0.0) <= ODD * noise:
         return Robust(fit, used, noise)
     fit = _fit_cauchy(fit.state, seen, free, moving)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         lengths = _lengths(fit.state, seen)
         noise = median_noise(lengths[used])
         accepted = start & (lengths <= ODD * noise)
@@ -110,9 +110,9 @@ def _fit_cauchy(state: State, views: BoardImages, free: FreeParameters, moving: 
     """Fit with Cauchy's loss; its scale falls with the errors."""
     used = np.asarray(views.weights > 0.0)
     scale = np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         smaller = CAUCHY * median_noise(_lengths(state, views)[used])
-        if smaller > (1.0 - _SAME_NOISE) * scale:
+        if smaller > (1.0 - SAME_NOISE) * scale:
             break
         scale = smaller
         fit = refine(state, views, free, scale, moving=moving)
@@ -169,7 +169,7 @@ def fixes_world(problem: CalibrationProblem) -> bool:
 
 def _weigh(problem: CalibrationProblem, robust: Robust, free: FreeParameters) -> Robust:
     """Fit with the known places and nominal values, weighed against the noise."""
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         noise = robust.noise_px
         anchors = make_anchors(problem.case, problem.frame, noise)
         prior = make_prior(problem.start, noise)
@@ -178,7 +178,7 @@ def _weigh(problem: CalibrationProblem, robust: Robust, free: FreeParameters) ->
             robust = adjust(problem.align_to_nominal(robust.fit.state), views, free)
         if robust.held or not _is_sound(robust, views, problem):
             robust = _fit_soundly(problem, views, free)
-        if free == free.of_lenses or abs(robust.noise_px - noise) <= _SAME_NOISE * noise:
+        if free == free.of_lenses or abs(robust.noise_px - noise) <= SAME_NOISE * noise:
             break
     return robust
 
@@ -300,9 +300,7 @@ def _boards(state: State, views: BoardImages, free: FreeParameters) -> State:
             anchors=(),
         )
         board = replace(
-            state,
-            board_rotations=rotations[part].copy(),
-            board_positions=positions[part].copy(),
+            state, board_rotations=rotations[part].copy(), board_positions=positions[part].copy()
         )
         fit = refine(board, view, free, moving="boards").state
         rotations[part], positions[part] = fit.board_rotations, fit.board_positions

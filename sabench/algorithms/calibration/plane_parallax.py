@@ -17,14 +17,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sabench.algorithms.calibration.fit_checks import FLAT, correlated_part, neighbours
+from sabench.algorithms.calibration.bundle_adjustment import HARDLY
+from sabench.algorithms.calibration.fit_checks import FEWEST, FLAT, correlated_part, neighbours
 from sabench.geometry.projective_camera import Projective
 from sabench.utils.arrays import F64, Bool, nested
 from sabench.utils.errors import InputError
-
-_ROUNDS = 2000
-_SETTLED = 1e-13  # relative change of filled-in images in the last round
-_FEWEST = 4  # points that determine a homography
 
 
 class RankOne(NamedTuple):
@@ -68,13 +65,13 @@ def plane_homography(name: str, plane_mm: F64, pixels: F64) -> F64:
         Fewer than four points, or points on one line.
     """
     matrix = None
-    if len(plane_mm) >= _FEWEST:
+    if len(plane_mm) >= FEWEST:
         spread = np.linalg.svd(plane_mm - plane_mm.mean(axis=0), compute_uv=False)
         if spread[-1] > FLAT * spread[0]:
             matrix = cv2.findHomography(plane_mm, pixels)[0]
     if matrix is None:
         raise InputError(
-            f"{name}: expected {_FEWEST} points or more of the reference plane that are not on one "
+            f"{name}: expected {FEWEST} points or more of the reference plane that are not on one "
             f"line, got {len(pixels)} that determine no homography"
         )
     return np.asarray(matrix)
@@ -91,8 +88,8 @@ def factorise_parallax(aligned: F64, seen: Bool) -> RankOne:
     cameras, count = seen.shape
     weight = seen / np.maximum(seen.sum(axis=0), 1)
     mean = np.einsum("cn,cnk->nk", weight, np.where(seen[..., None], aligned, 0.0))
-    guess = np.broadcast_to(mean, aligned.shape)
-    for _ in range(_ROUNDS):
+    guess, change = np.broadcast_to(mean, aligned.shape), np.inf
+    while change > HARDLY * np.abs(mean).max():
         filled = np.where(seen[..., None], aligned, guess)
         middles = filled.mean(axis=0)
         table = (filled - middles).transpose(0, 2, 1).reshape(2 * cameras, count)
@@ -101,8 +98,6 @@ def factorise_parallax(aligned: F64, seen: Bool) -> RankOne:
         product = np.outer(offsets, parallax).reshape(cameras, 2, count).transpose(0, 2, 1)
         change = np.abs(middles + product - guess)[~seen].max(initial=0.0)
         guess = middles + product
-        if change <= _SETTLED * np.abs(middles).max():
-            break
     return RankOne(middles, offsets.reshape(cameras, 2), parallax)
 
 

@@ -35,7 +35,6 @@ from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.validation import LensNumber, WallNumber
 
-_SUSPECT = 0.5  # share of an image's points that fit, below which something is wrong with all of it
 _WRONG = 0.01  # of an image's width: noise that no detection has
 _SEVERAL = 3  # points that distinguish an image from another
 _MIRRORED = 0.25  # times its misfit below which the mirror image of an array fits better
@@ -147,9 +146,8 @@ def _check_views(
 ) -> None:
     """Refuse a view that would fit if its points were counted from another corner."""
     visible = views.weights > 0.0
-    shares = used.sum(axis=2) / np.maximum(visible.sum(axis=2), 1)  # few used: it never fits
     computed = views.pixels - residuals(state, views)
-    for camera, number in np.argwhere((shares < _SUSPECT) & visible.any(axis=2)).tolist():
+    for camera, number in np.argwhere((visible & ~used).any(axis=2)).tolist():
         view = camera, number
         for degrees, order in list_relabellings(case.target):
             misses = np.linalg.norm(views.pixels[view] - computed[view][order], axis=-1)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine, residuals
-from sabench.algorithms.calibration.fit_checks import FLAT
+from sabench.algorithms.calibration.fit_checks import FEWEST, FLAT
 from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame, common_plane
 from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera, aimed_rotation
@@ -22,9 +22,7 @@ from sabench.geometry.projective_camera import (
 from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion, rotation_matrices
 from sabench.utils.arrays import F64
 
-_LEAST = 4  # points of a frame in all cameras, below which its images show no pose
 _NEAR = 0.5  # part of the nominal depth behind a wall that all boards keep
-_QUARTERS = np.arange(4) * np.pi / 2.0
 
 
 def upright_axes(cameras: tuple[Camera, ...]) -> F64:
@@ -59,8 +57,9 @@ def place_boards(case: CalibrationCase) -> F64:
     start = frame.state(board, case.initial_mm)
     ahead = frame.motion.rotation @ upright_axes(case.cameras)
     best = refine(start, views, FreeParameters(), moving="boards").state
-    for angle in _QUARTERS[1:].tolist():
-        turned = start.board_rotations @ rotation_matrices(np.array([0.0, 0.0, angle]))
+    quarter = rotation_matrices(np.array([0.0, 0.0, np.pi / 2.0]))
+    for quarters in (1, 2, 3):
+        turned = start.board_rotations @ np.linalg.matrix_power(quarter, quarters)
         best = _refit_boards(best, replace(start, board_rotations=turned), views)
     flip = ahead @ np.diag([1.0, 1.0, -1.0]) @ ahead.T
     mirrored = flip @ best.board_rotations @ np.diag([1.0, 1.0, -1.0])
@@ -70,7 +69,7 @@ def place_boards(case: CalibrationCase) -> F64:
     # starts in the wall does not move
     near = _NEAR * _depth(case, case.initial_mm)
     fitted = fitted + (near - min(_depth(case, fitted), near)) * upright_axes(case.cameras)[:, 2]
-    enough = case.found.sum(axis=(0, 2)) >= _LEAST
+    enough = case.found.sum(axis=(0, 2)) >= FEWEST
     fitted = np.where(enough[:, None, None], fitted, case.initial_mm)
     return np.where(np.isfinite(places), places, fitted)
 

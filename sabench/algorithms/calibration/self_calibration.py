@@ -11,7 +11,7 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, refine, residuals
 from sabench.algorithms.calibration.disparity import SETS, Sets, correct, find_sets, pair_up
-from sabench.algorithms.calibration.joint_fit import CAUCHY, median_noise
+from sabench.algorithms.calibration.joint_fit import CAUCHY, SAME_NOISE, median_noise
 from sabench.algorithms.calibration.parameters import FreeParameters, State, WallFrame
 from sabench.algorithms.particles.candidate_search import rig_axes, turn_maps
 from sabench.algorithms.particles.matching import detect_in_cameras
@@ -251,7 +251,7 @@ def _adjust(state: State, views: BoardImages, particles: int) -> State:
         weighted = replace(views, weights=_weights(views, particles, noise))
         state = refine(state, weighted, FreeParameters(), CAUCHY * noise).state
         before, noise = noise, _noise(state, views, particles)
-        if noise > 0.9 * before:
+        if noise > (1.0 - SAME_NOISE) * before:
             break
     weights = _weights(views, particles, noise)
     lengths = np.linalg.norm(residuals(state, views), axis=-1)[:, :particles]

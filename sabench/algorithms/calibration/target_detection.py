@@ -9,12 +9,10 @@ from sabench.api.truth import Target
 from sabench.utils.arrays import F64, U8, U16
 
 _BLUR_PX = 1.5  # against noise, where lights are few
-_FAINT = 0.1  # of a blob's peak: below there is none
-# the same for a ball, and the part of its peak that cuts its light: its shading would shift
-# the centroid to the lit side
-_BALL = (0.05, 0.15)
+_FAINT = 0.05  # of a blob's peak: below there is none
+_FULL = 0.15  # cuts a ball's light, whose shading would shift the centroid to the lit side
 _LIT = 0.35  # of the brightest ball: least light of a ball's pixel
-_DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for the detectors
+_DARKEST = 0.5  # percent of the pixels become black for the detectors, and as many white
 
 
 def detect_target(image: U16, target: Target, expected: F64 | None = None) -> F64:
@@ -33,7 +31,7 @@ def detect_target(image: U16, target: Target, expected: F64 | None = None) -> F6
         low = float(np.median(image))
         high = float(cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX).max())
     else:
-        low, high = np.percentile(image, [_DARKEST, _BRIGHTEST])
+        low, high = np.percentile(image, [_DARKEST, 100.0 - _DARKEST])
     scaled = (image - low) * (255.0 / max(high - low, 1.0))
     grey: U8 = np.clip(scaled, 0.0, 255.0).astype(np.uint8)
     detectors = {"checkerboard": _corners, "circles": _circles, "charuco": _charuco, "wand": _balls}
@@ -92,12 +90,12 @@ def _balls(grey: U8, target: Target) -> F64 | None:
     largest = 1 + np.argsort(stats[1:, cv2.CC_STAT_AREA])[::-1][: target.columns]
     if count - 1 < target.columns:
         return None
-    balls = _centroids(grey, centers[largest], *_BALL)
+    balls = _centroids(grey, centers[largest], _FULL)
     axis = np.linalg.svd(balls - balls.mean(axis=0))[2][0]
     return np.asarray(balls[np.argsort(balls @ axis)])
 
 
-def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0) -> F64:
+def _centroids(light: U8, centers: F64, full: float = 1.0) -> F64:
     """Compute centroids of blobs; light above `full` of the peak is cut."""
     gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2)
     np.fill_diagonal(gaps, np.inf)
@@ -107,7 +105,7 @@ def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0
         left, top = np.maximum(np.rint(center).astype(int) - radius, 0)
         patch = light[top : top + 2 * radius + 1, left : left + 2 * radius + 1].astype(np.float64)
         dark, peak = np.median(patch), patch.max() - np.median(patch)
-        patch = np.clip(patch - dark - faint * peak, 0.0, (full - faint) * peak)
+        patch = np.clip(patch - dark - _FAINT * peak, 0.0, (full - _FAINT) * peak)
         rows, columns = np.mgrid[: patch.shape[0], : patch.shape[1]]
         total = patch.sum()
         if total > 0.0:

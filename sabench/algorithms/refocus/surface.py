@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import FLATTEST_DEGREES
-from sabench.geometry.grid import Grid
+from sabench.geometry.grid import AT_ONCE, Grid
 from sabench.geometry.surfaces import normals_of
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.progress import progress_bar
@@ -44,7 +44,6 @@ def find_edge_on(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
 
 Join = Literal["additive", "multiplicative", "dark", "minimum", "maximum", "median"]
 _FLOOR = 0.02  # of an image's range: one camera cannot erase a point of a product
-_AT_ONCE = 1 << 26  # values of all cameras that are held together
 
 
 class SurfaceImage(NamedTuple):
@@ -86,7 +85,7 @@ def refocus_on_surface(
     splines = [spline_filter(image, order=3, mode="mirror", output=np.float32) for image in images]
     hidden = [None] * len(images) if covered is None else covered
     values, views = np.full(len(points), np.nan, np.float32), np.zeros(len(points), np.int64)
-    step = max(1, _AT_ONCE // len(images))
+    step = max(1, AT_ONCE // len(images))
     for first in progress_bar(range(0, len(points), step), f"refocus, {len(cameras)} cameras"):
         part = slice(first, first + step)
         place = points[part], normals[part]

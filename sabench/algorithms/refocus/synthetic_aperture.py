@@ -21,14 +21,13 @@ from sabench.algorithms.refocus.rectification import CUBIC, LINEAR, coefficients
 from sabench.algorithms.refocus.slabs import Slab, make_slab, rectifying_maps, slabs, tile_origins
 from sabench.api import Observation
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.grid import Grid
+from sabench.geometry.grid import AT_ONCE, Grid
 from sabench.utils import backend
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 from sabench.utils.threads import on_cores
 
-_GPU_PLANES = 1 << 24  # voxels computed simultaneously: bounds the device's memory
 # (drjit, one array of samples per camera) -> the plane's voxels
 Fold = Callable[[Any, Sequence[Any]], Any]
 
@@ -55,7 +54,7 @@ def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, o
     maps = np.ascontiguousarray(slab.positions(grid), dtype=np.float32)
     table = types.Float(maps.ravel())  # (camera, plane, column or row, term)
     height, width = out.shape[1:]
-    some = max(1, _GPU_PLANES // (height * width))
+    some = max(1, AT_ONCE // (height * width))
     for first in range(0, len(out), some):
         part = out[first : first + some]
         index = dr.arange(types.UInt32, part.size)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.algorithms.tomography.kernels import STEPS, exp2, locate, multiply, scratch
-from sabench.algorithms.tomography.projection_operator import ProjectionOperator
+from sabench.algorithms.tomography.projection_operator import TASKS, ProjectionOperator
 from sabench.utils.arrays import F32, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
@@ -30,9 +30,6 @@ from sabench.utils.threads import on_cores
 
 # rows of pixels, more than a footprint has: every other strip shares no voxel with this one
 STRIP = 16
-# of the volume, sorted by themselves; a fixed number, so that the order does not depend on how many
-# threads there are
-_PARTS = 16
 
 
 class Buckets(NamedTuple):
@@ -80,19 +77,19 @@ def mart_sweep(
     the other.
     """
     geometry, support = lines.geometry, lines.support
-    parts = support.parts(_PARTS)
+    parts = support.parts(TASKS)
     # sorted by counting, stable and in parallel
-    slots = np.zeros((_PARTS, geometry.rows * geometry.columns), dtype=np.int32)
+    slots = np.zeros((TASKS, geometry.rows * geometry.columns), dtype=np.int32)
     first = np.empty(geometry.rows * geometry.columns + 1, dtype=np.int64)
     voxels = parts, support.start, support.x
-    on_cores(_count, _PARTS, geometry, camera, *voxels, slots)
+    on_cores(_count, TASKS, geometry, camera, *voxels, slots)
     _number(slots, first)
     entries = int(first[-1])
     voxel = np.empty(entries, dtype=np.int32)
     across, down, light = (np.empty(entries, dtype=np.float32) for _ in range(3))
     spread, taps = np.float32(lines.footprint.spread), 2 + 2 * geometry.margin
     buckets = Buckets(spread, taps, geometry.columns, first, voxel, across, down, light)
-    on_cores(_fill, _PARTS, geometry, camera, *voxels, values, slots, buckets)
+    on_cores(_fill, TASKS, geometry, camera, *voxels, values, slots, buckets)
     missed = np.zeros(math.ceil(len(image) / STRIP))
     for odd in range(2):
         strips = (len(missed) - odd + 1) // 2

@@ -16,13 +16,12 @@ from sabench.algorithms.tomography import projection_operator as operators, supe
 from sabench.algorithms.tomography.art_updates import Iterate, RecordedLight
 from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample_image, scratch
 from sabench.api import Observation, Parameters
-from sabench.geometry.grid import Grid
+from sabench.geometry.grid import AT_ONCE, Grid
 from sabench.utils.arrays import F32, I64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 from sabench.utils.threads import on_cores
 
-_SLAB = 8_000_000  # voxels that are allocated at a time
 # of voxels: one camera after the other is looked up, and its part of the image stays in the
 # cache
 _ROWS = 32
@@ -44,7 +43,7 @@ def product_guess(
     threshold : darker pixels are black.
     """
     planes, shape = geometry.maps.shape[1], (geometry.height, geometry.width)
-    step = max(1, _SLAB // (shape[0] * shape[1]))
+    step = max(1, AT_ONCE // (shape[0] * shape[1]))
     flat = images.reshape(len(images), -1)
     slabs = [
         _slab(geometry, flat, threshold, first, min(step, planes - first))

@@ -89,7 +89,7 @@ def image_sigma_px(images: F32) -> float | None:
 _BLOCK = 1 << 16
 # images that are added up by themselves; a fixed number, so that sums do not depend on how many
 # threads there are
-_TASKS = 32
+TASKS = 32
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class ProjectionOperator:
         The default is all cameras.
         """
         chosen = self._numbers(cameras)
-        parts = self.support.parts(max(1, _TASKS // len(chosen)))
+        parts = self.support.parts(max(1, TASKS // len(chosen)))
         size = self.geometry.rows, self.geometry.columns
         images = np.zeros((len(chosen), len(parts) - 1, math.prod(size)), dtype=np.float32)
         voxels = self.support.start, self.support.x, values

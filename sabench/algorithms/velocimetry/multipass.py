@@ -296,11 +296,7 @@ def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: fl
     clear = np.asarray((peaks.ratio >= ratio) & (peaks.height > 0.0))
     valid = within_deviations(peaks.shift, clear, 5.0)
     valid = thesis_local(fill_invalid(peaks.shift, valid), valid, 3.0)
-    return Field(
-        windows,
-        smooth_vectors(fill_invalid(peaks.shift, valid), (_KERNEL,) * 3),
-        valid,
-    )
+    return Field(windows, smooth_vectors(fill_invalid(peaks.shift, valid), (_KERNEL,) * 3), valid)
 
 
 def _validate(windows: Windows, peaks: CorrelationPeaks, valid: Bool, plan: MultipassPlan) -> Field:

@@ -11,13 +11,12 @@ from scipy.ndimage import map_coordinates, uniform_filter
 from sabench.algorithms.velocimetry.multipass import Field
 from sabench.api import Observation, Velocity
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.common_view import FLATTEST_DEGREES
+from sabench.geometry.common_view import FLATTEST_DEGREES, NODES
 from sabench.geometry.grid import Grid, cut_box
 from sabench.geometry.rigid_motion import cross, frame_of_normal
 from sabench.utils.arrays import F32, F64, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
 
-_PROBES = 65  # points along each side of the plane that are projected to find what a camera sees
 _SHORTEST = 0.1  # projection on the plane of a unit vector that can be an axis of it
 
 
@@ -131,7 +130,7 @@ def _probe(grid: Grid, point_mm: F64, normal: F64) -> F64:
         )
     u, v, _ = frame_of_normal(normal)
     flat = (outline - point_mm) @ np.stack([u, v]).T
-    sides = np.linspace(flat.min(axis=0), flat.max(axis=0), _PROBES)
+    sides = np.linspace(flat.min(axis=0), flat.max(axis=0), NODES)
     across, down = (part.ravel() for part in np.meshgrid(*sides.T))
     points = point_mm + across[:, None] * u + down[:, None] * v
     return np.asarray(points[_in_box(grid, points)])
@@ -206,7 +205,7 @@ def _lay(view: _View, camera: CameraModel, grid: Grid, points_mm: F64, normal: F
     # of a square in the plane as large as one pixel
     edge = float(np.prod(np.linalg.svd(view.slopes, compute_uv=False)) ** -0.5)
     every, some = points_mm @ axes.T, view.points_mm @ axes.T
-    spacing = np.ptp(every, axis=0).max() / (_PROBES - 1)
+    spacing = np.ptp(every, axis=0).max() / (NODES - 1)
     low = np.maximum(every.min(axis=0), some.min(axis=0) - spacing)
     high = np.minimum(every.max(axis=0), some.max(axis=0) + spacing)
     columns, rows = np.floor((high - low)[:2] / edge).astype(int) + 1

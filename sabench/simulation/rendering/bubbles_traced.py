@@ -13,6 +13,7 @@ import numpy as np
 from sabench.api import Material
 from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.camera import Camera
+from sabench.geometry.grid import AT_ONCE
 from sabench.geometry.occluders import Disc
 from sabench.simulation.rendering.bubble_stage import Lights, Stager, Tank
 from sabench.simulation.rendering.particle_images import ParticleImages, diffract
@@ -213,7 +214,6 @@ def render(
     """
     scale = camera.etendue()
     stage_of = Stager(camera, tank, bubbles, bodies, lights, occluders, images, particles_mm)
-    from sabench.simulation.rendering.camera_rays import WAVEFRONT  # needs the variant
 
     floor = _DARK * stage_of.brightest
     moments = 1  # of the exposure: one for each half pixel of the longest path
@@ -231,7 +231,7 @@ def render(
     more = np.full(tally.count.size, STREAMS)
     while more.any():
         chosen = np.flatnonzero(more)
-        for part in in_portions(more[chosen], WAVEFRONT):  # memory does not grow with the image
+        for part in in_portions(more[chosen], AT_ONCE):  # memory does not grow with the image
             some = chosen[part]
             each = some, tally.count[some], more[some]
             tally.add(some, more[some], _passes(stage_of, camera, *each, delays, seed))

@@ -13,11 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera import Camera
+from sabench.geometry.grid import AT_ONCE
 from sabench.geometry.lens import UPRIGHT, Distortion, focus_slope, sensor_axes
 from sabench.geometry.occluders import Disc
 from sabench.utils.arrays import F32, F64, I64, U32
-
-WAVEFRONT = 1 << 22  # rays traced simultaneously: bounds memory, not results
 
 
 def mean_of_rays(numbers: tuple[I64 | U32, ...], samples: int, trace: Callable[..., Any]) -> F32:
@@ -31,7 +30,7 @@ def mean_of_rays(numbers: tuple[I64 | U32, ...], samples: int, trace: Callable[.
     numbers : (n,) each; the pixels, numbered row by row, and whatever else they have.
     trace : radiance of rays; arguments: each ray's number in its pixel, and its pixel's numbers.
     """
-    count = max(1, WAVEFRONT // samples)
+    count = max(1, AT_ONCE // samples)
     parts = [np.zeros(0, dtype=np.float32)]
     for first in range(0, len(numbers[0]), count):
         part = slice(first, first + count)

@@ -21,6 +21,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.lens import UPRIGHT, from_sensor, onto_sensor, stretch
 from sabench.geometry.occluders import Disc
+from sabench.geometry.projection_kernels import BLOCK
 from sabench.geometry.refraction import Layer, Wall, trace_to_points, transmittance
 from sabench.scenes import Scene
 from sabench.simulation.rendering.particle_light import Scatterers, intensity
@@ -28,7 +29,7 @@ from sabench.utils.arrays import F64, I64, Bool, in_box, triple
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
 
-_CHUNK, _BLOCK = 8192, 256  # points at a time: of exact paths, and of polynomials
+_CHUNK = 8192  # points at a time, of exact paths
 _DEGREES = (4, 6, 8, 11)  # of polynomials over a box, tried in this order
 _EXACT = 1e-7  # of a quantity's largest value: error of its polynomial that counts as none
 # points at which it is compared with exact paths; it is worth its making for more particles
@@ -177,7 +178,7 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
 
 
 def _evaluate_all(points: F64, low: F64, high: F64, smooth: _Smooth, out: F64) -> None:
-    blocks = (len(points) + _BLOCK - 1) // _BLOCK
+    blocks = (len(points) + BLOCK - 1) // BLOCK
     on_cores(_evaluate, blocks, points, low, high, smooth.terms, smooth.coefficients, out)
 
 
@@ -187,26 +188,26 @@ def _evaluate(
 ) -> None:
     """Fill in polynomials (quantity, n), in Chebyshev's basis, at points (n, 3)."""
     for block in range(jobs.start, jobs.stop):
-        _evaluate_block(points, block * _BLOCK, low, high, terms, coefficients, out)
+        _evaluate_block(points, block * BLOCK, low, high, terms, coefficients, out)
 
 
 @numba.njit(cache=True, fastmath={"contract", "nsz"})
 def _evaluate_block(
     points: Any, first: int, low: Any, high: Any, terms: Any, coefficients: Any, out: Any
 ) -> None:
-    degree, count, size = max(terms.max(), 1), len(terms), min(_BLOCK, len(points) - first)
-    powers, basis = np.ones((3, degree + 1, _BLOCK)), np.empty((count, _BLOCK))
+    degree, count, size = max(terms.max(), 1), len(terms), min(BLOCK, len(points) - first)
+    powers, basis = np.ones((3, degree + 1, BLOCK)), np.empty((count, BLOCK))
     for a in range(3):
         scale = 2.0 / (high[a] - low[a])
         for n in range(size):
             powers[a, 1, n] = (points[first + n, a] - low[a]) * scale - 1.0
         for k in range(2, degree + 1):
-            for n in range(_BLOCK):
+            for n in range(BLOCK):
                 twice = 2.0 * powers[a, 1, n]
                 powers[a, k, n] = twice * powers[a, k - 1, n] - powers[a, k - 2, n]
     for t in range(count):
         x, y, z = powers[0, terms[t, 0]], powers[1, terms[t, 1]], powers[2, terms[t, 2]]
-        for n in range(_BLOCK):
+        for n in range(BLOCK):
             basis[t, n] = x[n] * y[n] * z[n]
     found = np.dot(coefficients, basis)
     for q in range(len(out)):

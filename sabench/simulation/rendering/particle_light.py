@@ -22,12 +22,7 @@ from sabench.simulation.rendering.lamps import fluence
 from sabench.utils.arrays import C128, F32, F64, I64, unit
 from sabench.utils.compiled import numba
 from sabench.utils.threads import on_cores
-from sabench.worlds.tracers import (
-    PER_OCTAVE,
-    lattice_diameters_mm,
-    material_numbers,
-    size_numbers,
-)
+from sabench.worlds.tracers import PER_OCTAVE, lattice_diameters_mm, material_numbers, size_numbers
 
 _BLOCK = 1024  # sizes, and angles, of one product of matrices
 

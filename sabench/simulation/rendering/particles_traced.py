@@ -16,6 +16,7 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.cylinder_wall import CylinderWall
+from sabench.geometry.grid import AT_ONCE
 from sabench.geometry.occluders import Disc
 from sabench.simulation.rendering.particle_images import REACH, ParticleImages
 from sabench.utils import backend
@@ -47,7 +48,6 @@ def render(
         return np.zeros((camera.rows, camera.columns))
     mi = backend.mitsuba()
     from sabench.simulation.rendering import particle_integrator  # needs the variant
-    from sabench.simulation.rendering.camera_rays import WAVEFRONT
 
     # single precision: numbers are small where the particles are
     origin = positions_mm[bright].mean(axis=0)
@@ -64,7 +64,7 @@ def render(
     high = np.clip(np.ceil(pixel + reach), -1, size - 1).astype(np.int64)
     image = np.zeros(camera.rows * camera.columns)
     areas = np.maximum(high - low + 1, 0).prod(axis=1)
-    for some in in_portions(areas, WAVEFRONT):  # memory does not grow with what particles light up
+    for some in in_portions(areas, AT_ONCE):  # memory does not grow with what particles light up
         starts, near = _list_boxes(low, high, some, camera.columns, image.size)
         lit = np.flatnonzero(np.diff(starts))
         given = camera, origin, cloud, len(walls), (lit, starts, near)

@@ -59,7 +59,7 @@ def test_portions_of_a_cloud_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = build_rig(make_scene()).cameras[1]
     positions, images = crowd(camera)
     whole = render(camera, images, positions, 4)
-    monkeypatch.setattr("sabench.simulation.rendering.camera_rays.WAVEFRONT", 5000)
+    monkeypatch.setattr("sabench.simulation.rendering.particles_traced.AT_ONCE", 5000)
     np.testing.assert_allclose(render(camera, images, positions, 4), whole, rtol=1e-5)
 
 
