@@ -17,7 +17,8 @@ from sabench.utils.files import canonical_json, read_json
 
 WORLD_FILE = "sabench-world.json"
 # grey values of a bright particle's peak and of the brightest pixel: two particles may overlap
-BRIGHT, WHITE = 160.0, 255
+BRIGHT = 160.0
+WHITE = int(np.iinfo(np.uint8).max)
 BLOB_PX = 3  # width of a particle's image where it is not known
 LENGTHS_MM = {"m": 1e3, "dm": 1e2, "cm": 10.0, "mm": 1.0, "um": 1e-3, "in": 25.4}
 _UNIT_AXES: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

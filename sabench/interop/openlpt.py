@@ -24,7 +24,7 @@ from sabench.geometry.lens import UPRIGHT
 from sabench.geometry.refraction import Wall
 from sabench.interop.foreign import BRIGHT, WHITE, Recording, TrackTable
 from sabench.interop.named_columns import table_of_columns
-from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.arrays import F32, F64
 from sabench.utils.errors import InputError
 from sabench.utils.processes import python
 from sabench.utils.tables import UnitArray, read_table
@@ -294,7 +294,6 @@ def solve(folder: Path, frames: int) -> list[FoundParticles]:
 # files that OpenLPT's own programs read as the result
 _KINDS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")
 _HEAD = ("TrackID", "FrameID", "WorldX", "WorldY", "WorldZ")
-_NONE = np.zeros(0, dtype=np.int64)
 LOST_OF_TRACKS = (
     "intensities, velocities and accelerations",
     "light of each camera, covariances and probabilities",
@@ -323,7 +322,8 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
 
 def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
     """Read files of tracks; numbers of a file follow those of the file before."""
-    frame, position, number = list[I64](), [np.zeros((0, 3))], list[I64]()
+    none = np.zeros(0, dtype=np.int64)
+    frame, position, number = [none], [np.zeros((0, 3))], [none]
     before = 0
     for file in files:
         part = _read_file(file, unit)
@@ -332,8 +332,8 @@ def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
         frame.append(part.frame)
         position.append(part.position_mm)
         number.append(shifted)
-    numbers = [np.concatenate([_NONE, *column]) for column in (frame, number)]
-    return TrackTable(numbers[0], np.concatenate(position), numbers[1]).sorted()
+    numbers, tracks = np.concatenate(frame), np.concatenate(number)
+    return TrackTable(numbers, np.concatenate(position), tracks).sorted()
 
 
 def _read_file(file: Path, unit: str | None) -> TrackTable:
@@ -341,7 +341,9 @@ def _read_file(file: Path, unit: str | None) -> TrackTable:
     table = read_table(file, 5)
     names = [name.strip() for name in table.names]
     if not len(table.values):
-        return TrackTable(_NONE, np.zeros((0, 3)), _NONE)
+        return TrackTable(
+            np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+        )
     missing = next((name for name in _HEAD if name not in names), None)
     if missing:
         raise InputError(
