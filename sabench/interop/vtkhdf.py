@@ -81,10 +81,8 @@ def _export_truth(root: Path, data: Dataset) -> None:
             write_lattice(path, field.low_mm, field.step_mm, _field(field, slopes))
         if isinstance(world, BubbleWorld) and world.bubbles is not None:
             bubbles = data.bubbles(frame)
-            about = {"id": bubbles.id, "velocity_mm_s": bubbles.velocity_mm_s}
-            write_points(
-                root / f"bubbles_{frame:04d}.vtkhdf", bubbles.center_mm, _shapes(bubbles) | about
-            )
+            about = _shapes(bubbles) | {"id": bubbles.id, "velocity_mm_s": bubbles.velocity_mm_s}
+            write_points(root / f"bubbles_{frame:04d}.vtkhdf", bubbles.center_mm, about)
         if isinstance(world, BubbleWorld) and world.solids:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
 
