@@ -115,14 +115,8 @@ class Bubbles(Truth):
 
     def __getitem__(self, chosen: Bool | I64) -> Bubbles:
         """Select some of the bubbles."""
-        return Bubbles(
-            self.id[chosen],
-            self.center_mm[chosen],
-            self.semi_axes_mm[chosen],
-            self.turn[chosen],
-            self.velocity_mm_s[chosen],
-            self.index,
-        )
+        rows = {one.name: getattr(self, one.name)[chosen] for one in self.ARRAYS[:-1]}
+        return Bubbles(**rows, index=self.index)
 
     @property
     def radius_mm(self) -> F64:
@@ -141,11 +135,8 @@ class Bubbles(Truth):
 
     def reach_mm(self, direction: npt.ArrayLike) -> F64:
         """Compute how far (n,) each extends from its centre along a unit vector (3,)."""
-        return np.asarray(
-            np.linalg.norm(
-                self.semi_axes_mm * (self.turn @ np.asarray(direction, dtype=np.float64)), axis=1
-            )
-        )
+        own = self.turn @ np.asarray(direction, dtype=np.float64)
+        return np.asarray(np.linalg.norm(self.semi_axes_mm * own, axis=1))
 
 
 @dataclass(frozen=True)
@@ -302,9 +293,6 @@ class Prior:
     known_sigma_mm: F64
 
 
-_IN_FRAMES = ("frame", "point", 3)
-
-
 @dataclass(frozen=True)
 class TargetPoints(Arrays):
     """Observed pixels of a target's points and the positions known beforehand.
@@ -315,9 +303,9 @@ class TargetPoints(Arrays):
     OF_FRAME = False
     ARRAYS = (
         Array("pixels", ("camera", "frame", "point", 2), finite=False, largest=_ANY),
-        Array("initial_mm", _IN_FRAMES, stored="rough_mm", finite=False, largest=_ANY),
-        Array("known_mm", _IN_FRAMES, finite=False, largest=_ANY),
-        Array("known_sigma_mm", _IN_FRAMES, finite=False, largest=_ANY),
+        Array("initial_mm", ("frame", "point", 3), stored="rough_mm", finite=False, largest=_ANY),
+        Array("known_mm", ("frame", "point", 3), finite=False, largest=_ANY),
+        Array("known_sigma_mm", ("frame", "point", 3), finite=False, largest=_ANY),
     )
 
     pixels: F64

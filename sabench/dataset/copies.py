@@ -76,7 +76,17 @@ def pack(dataset: Dataset, out: Path, *, blind: bool, overwrite: bool = False) -
     data set is the observation side alone, and the whole is asked for.
     """
     with _folder_of(out, overwrite) as folder:
-        _copy_side(dataset, folder, blind)
+        if blind:
+            copy_observation(dataset, folder)
+            return out
+        if dataset.references is not None:
+            raise InputError(
+                f"{dataset.root}: expected a data set that holds its images, got one that "
+                "references them; pack it with --blind, which copies them"
+            )
+        whole = dataset.contents if dataset.recorded else dataset.manifest
+        for name in [*whole.files, schema.MANIFEST]:
+            _copy_file(dataset.root, folder, name)
     return out
 
 
@@ -114,20 +124,6 @@ def _folder_of(out: Path, overwrite: bool) -> Iterator[Path]:
         finally:
             if folder is not partial:
                 shutil.rmtree(folder, ignore_errors=True)
-
-
-def _copy_side(dataset: Dataset, folder: Path, blind: bool) -> None:
-    if blind:
-        copy_observation(dataset, folder)
-        return
-    if dataset.references is not None:
-        raise InputError(
-            f"{dataset.root}: expected a data set that holds its images, got one that references "
-            "them; pack it with --blind, which copies them"
-        )
-    whole = dataset.contents if dataset.recorded else dataset.manifest
-    for name in [*whole.files, schema.MANIFEST]:
-        _copy_file(dataset.root, folder, name)
 
 
 def _copy_file(root: Path, folder: Path, name: str) -> None:
@@ -203,16 +199,15 @@ def _compare_images(one: Dataset, first: Path, second: Path) -> Iterator[str]:
     camera = one.setup.cameras[0]
     shape = (camera.rows, camera.columns)
     if first.suffix == ".tif":
-        read = read_tiff(first, shape), read_tiff(second, shape)
         names = [each.name for each in one.setup.cameras]
-        number = names.index(first.stem) if first.stem in names else 0
-        different = _other_grey(*read, one.scene.sensor.of_camera(number))
+        sensor = one.scene.sensor.of_camera(names.index(first.stem) if first.stem in names else 0)
+        different = _other_grey(read_tiff(first, shape), read_tiff(second, shape), sensor)
     else:
-        light = read_exr(first, shape)
-        other_light = read_exr(second, shape)
-        scale = max(float(light.max(initial=0.0)), float(other_light.max(initial=0.0)))
-        different = np.asarray(np.abs(light.astype(float) - other_light) > _RADIANCE * scale)
-    yield from _too_many(different, first, second)
+        light = np.stack([read_exr(path, shape).astype(float) for path in (first, second)])
+        different = np.abs(light[0] - light[1]) > _RADIANCE * light.max(initial=0.0)
+    count, most = int(different.sum()), max(_FEW[0], int(_FEW[1] * different.size))
+    if count > most:
+        yield f"{second}: expected at most {most} pixels other than in {first}, got {count}"
 
 
 def _other_grey(one: U16, other: U16, sensor: Sensor) -> Bool:
@@ -227,12 +222,6 @@ def _other_grey(one: U16, other: U16, sensor: Sensor) -> Bool:
     noise = sensor.gain_dn_e * np.sqrt(2.0 * variance)
     allowed = 1.0 + _RADIANCE * (sensor.white_dn - sensor.black_level_dn) + _NOISE * noise
     return np.asarray(np.abs(one - other.astype(float)) > allowed)
-
-
-def _too_many(different: npt.NDArray[Any], first: Path, second: Path) -> Iterator[str]:
-    count, most = int(different.sum()), max(_FEW[0], int(_FEW[1] * different.size))
-    if count > most:
-        yield f"{second}: expected at most {most} pixels other than in {first}, got {count}"
 
 
 def _compare_hdf5(first: Path, second: Path, *, detected: bool) -> Iterator[str]:

@@ -33,10 +33,8 @@ def check_storage(node: Any, where: str) -> None:
     Raises InputError for another filter than deflate, or a chunk that cannot hold what its shape
     says.
     """
-    plan = node.id.get_create_plist()
-    filters = tuple(plan.get_filter(number)[0] for number in range(plan.get_nfilters()))
+    filters, names = _filters(node)
     if filters not in _FILTERS:
-        names = [plan.get_filter(number)[3] for number in range(plan.get_nfilters())]
         got = ", ".join(name.decode("utf-8", "replace") for name in names)
         raise InputError(f"{where}: expected no filter but deflate, got {got}")
     if not node.chunks:
@@ -66,9 +64,7 @@ def check_streams(node: Any, where: str) -> None:
     """
     if not node.chunks:
         return
-    plan = node.id.get_create_plist()
-    filters = tuple(plan.get_filter(number)[0] for number in range(plan.get_nfilters()))
-    size = chunk_bytes(node)
+    filters, size = _filters(node)[0], chunk_bytes(node)
     for chunk in _chunks(node):
         if not _deflated(filters, chunk):
             continue
@@ -88,6 +84,13 @@ def check_streams(node: Any, where: str) -> None:
 def chunk_bytes(node: Any) -> int:
     """Compute the size of a decoded chunk."""
     return int(math.prod(node.chunks) * node.id.get_type().get_size())
+
+
+def _filters(node: Any) -> tuple[tuple[int, ...], tuple[bytes, ...]]:
+    """List the numbers and the names of filters."""
+    plan = node.id.get_create_plist()
+    every = [plan.get_filter(number) for number in range(plan.get_nfilters())]
+    return tuple(one[0] for one in every), tuple(one[3] for one in every)
 
 
 def _chunks(node: Any) -> list[Any]:

@@ -226,10 +226,8 @@ class Dataset(StoredFrames):
         camera = self.setup.cameras[number]
         if self.references is not None:
             return self.references.read(camera.name, frame, (camera.rows, camera.columns))
-        return read_tiff(
-            inside(self.root, schema.image_name(camera.name, frame, "tif")),
-            (camera.rows, camera.columns),
-        )
+        path = inside(self.root, schema.image_name(camera.name, frame, "tif"))
+        return read_tiff(path, (camera.rows, camera.columns))
 
     @cached_property
     def references(self) -> ReferencesFile | None:
@@ -317,10 +315,8 @@ class Dataset(StoredFrames):
         """Read the target's true positions and rotations: not for solvers."""
         target = self._target()
         with open_hdf5(self._truth()) as file:
-            frames = range(self.setup.frames)
-            return truth.Placed(
-                target, tuple(_read(file, truth.TargetPose, frame) for frame in frames)
-            )
+            poses = [_read(file, truth.TargetPose, n) for n in range(self.setup.frames)]
+            return truth.Placed(target, tuple(poses))
 
     def sightings(self) -> tuple[F64, Bool]:
         """Read the true pixels of the target's points, and which are outliers.

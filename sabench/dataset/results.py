@@ -24,7 +24,8 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
 from sabench.utils.validation import printable
 
-FORMAT, VERSION = "sabench-result", 2
+FORMAT = "sabench-result"
+VERSION = 2
 _COSTS = ("seconds", "peak_mb", "compile_s", "reconstruction_s", "cpu_share")
 _FLAGS = ("isolated", "whole_process")
 _ATTRIBUTES = (

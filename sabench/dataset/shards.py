@@ -34,11 +34,16 @@ def split_of(number: int, shares: Sequence[float]) -> str:
 
     It follows from a hash of its number, so that it does not depend on the number of samples.
     """
+    return split_names(len(shares))[int(_splits([number], shares)[0])]
+
+
+def _splits(numbers: Iterable[int], shares: Sequence[float]) -> I64:
+    """Return the numbers (n,) of samples' splits."""
     check_shares(shares)
-    place = zlib.crc32(number.to_bytes(8, "little")) / 2.0**32 * sum(shares)
+    hashes = np.array([zlib.crc32(n.to_bytes(8, "little")) for n in numbers])
+    places = hashes / 2.0**32 * sum(shares)
     ends = list(itertools.accumulate(shares))
-    index = next((n for n, end in enumerate(ends) if place < end), len(shares) - 1)
-    return split_names(len(shares))[index]
+    return np.minimum(np.searchsorted(ends, places, side="right"), len(shares) - 1)
 
 
 def split_names(count: int) -> list[str]:
@@ -75,11 +80,7 @@ def plan_shards(samples: int, shares: Sequence[float], size: int) -> list[Shard]
 
     All shards of a split but its last are full.
     """
-    check_shares(shares)
-    hashes = np.array([zlib.crc32(n.to_bytes(8, "little")) for n in range(samples)])
-    ends = np.array(list(itertools.accumulate(shares)))
-    splits = np.searchsorted(ends, hashes / 2.0**32 * sum(shares), side="right")
-    splits = np.minimum(splits, len(shares) - 1)  # as `split_of`, all at a time
+    splits = _splits(range(samples), shares)
     return [
         shard
         for index, name in enumerate(split_names(len(shares)))
@@ -94,7 +95,6 @@ def _shards(split: str, numbers: I64, size: int) -> Iterator[Shard]:
 
 TruthKind = Literal["particles", "views", "radiance"]
 Compression = Literal["none", "gzip"]
-_NO_IMAGES = np.empty((0, 0, 0, 0), dtype=np.uint16)
 _MAKING = "making"  # folder of shards that are being written
 
 
@@ -314,7 +314,7 @@ class _Collected:
         self._setups.add(one.setup)
         if one.true_cameras is not None:
             self._true.add(one.true_cameras)
-        self._samples.append(replace(one, images=_NO_IMAGES, radiance=None))
+        self._samples.append(replace(one, images=np.empty_like(one.images[:0]), radiance=None))
 
     def store(self, seen: Any, truth: Any, kept: ShardContents) -> None:
         """Store it in the files of both sides."""

@@ -35,7 +35,6 @@ from sabench.utils.validation import printable, sentences
 
 Record = dict[str, Any]
 Difficulty = Literal["easy", "standard", "hard"]
-FORMAT, VERSION = "sabench-record", 2
 
 LONGEST_NAME = 200  # characters
 _DEEPEST = 20  # tables and lists within each other

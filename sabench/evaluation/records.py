@@ -15,7 +15,7 @@ from typing import Any
 
 from filelock import FileLock
 
-from sabench.evaluation.record_schema import FORMAT, VERSION, Record, parse_record
+from sabench.evaluation.record_schema import Record, RecordHead, parse_record
 from sabench.evaluation.solver_card import LONGEST_TEXT
 from sabench.utils import backend
 from sabench.utils.errors import MOST, InputError
@@ -132,9 +132,9 @@ def encode(record: Record) -> bytes:
     InputError
         A record that breaks the schema.
     """
-    values = {"format": FORMAT, "version": VERSION, **record}
+    head = {key: RecordHead.model_fields[key].default for key in ("format", "version")}
     try:
-        line = json.dumps(values, sort_keys=True, allow_nan=False).encode()
+        line = json.dumps(head | record, sort_keys=True, allow_nan=False).encode()
         parse_record(line)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"expected values that a record may have, got {error}") from error

@@ -24,7 +24,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.images.tiff_exr import write_tiff
 from sabench.interop import openlpt, openptv, openptv_files, vtkhdf
 from sabench.interop.cameras import check_writable, read_cameras, write_into
-from sabench.interop.foreign import ForeignWorld, Recording, note, of_estimates
+from sabench.interop.foreign import ForeignWorld, Recording, note, of_estimates, to_8_bits
 from sabench.interop.image_statistics import measure_frame
 from sabench.interop.openptv_files import FIRST
 from sabench.interop.tracks import TrackFormat, write_tracks
@@ -228,7 +228,7 @@ def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:
     (root / "img").mkdir()
     frames = progress_bar(range(data.setup.frames), "images")
     for frame in frames:
-        images = openptv.to_8_bits(data.observation(frame).normalised_images())
+        images = to_8_bits(data.observation(frame).normalised_images())
         for number, image in enumerate(images, 1):
             openptv.write_image(root / "img" / f"cam{number}.{FIRST + frame}", image)
     settings = openptv.derive_settings(measure_frame(data.observation(0)))

@@ -11,16 +11,22 @@ import numpy as np
 
 from sabench.api import FoundParticles
 from sabench.geometry.camera_model import CameraModel
-from sabench.utils.arrays import F64, I64, Bool, Rows, triple
+from sabench.utils.arrays import F32, F64, I64, U8, Bool, Rows, triple
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, read_json
 
 WORLD_FILE = "sabench-world.json"
 # grey values of a bright particle's peak and of the brightest pixel: two particles may overlap
-BRIGHT, WHITE = 160.0, 255
+BRIGHT = 160.0
+WHITE = int(np.iinfo(np.uint8).max)
 BLOB_PX = 3  # width of a particle's image where it is not known
 LENGTHS_MM = {"m": 1e3, "dm": 1e2, "cm": 10.0, "mm": 1.0, "um": 1e-3, "in": 25.4}
 _UNIT_AXES: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def to_8_bits(images: F32) -> U8:
+    """Scale images to grey values; a bright particle's peak is 1."""
+    return np.asarray(np.clip(np.rint(BRIGHT * images), 0, WHITE).astype(np.uint8))
 
 
 class ForeignFormatWarning(UserWarning):

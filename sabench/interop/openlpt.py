@@ -22,9 +22,9 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import UPRIGHT
 from sabench.geometry.refraction import Wall
-from sabench.interop.foreign import BRIGHT, WHITE, Recording, TrackTable
+from sabench.interop.foreign import BRIGHT, WHITE, Recording, TrackTable, to_8_bits
 from sabench.interop.named_columns import table_of_columns
-from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.arrays import F32, F64
 from sabench.utils.errors import InputError
 from sabench.utils.processes import python
 from sabench.utils.tables import UnitArray, read_table
@@ -106,19 +106,13 @@ def camera_text(camera: Camera) -> str:
     camera = camera.upright()
     rotation = np.asarray(camera.rotation)
     center = np.asarray(camera.center_mm)
-    focal, (across, down), lens = (
-        camera.principal_distance_mm / camera.pixel_mm,
-        camera.principal_point_px,
-        camera.distortion,
-    )
-    wall = (
-        camera.wall
-        if isinstance(camera.wall, Wall) and (len(set(camera.wall.indices)) > 1)
-        else None
-    )
+    focal, lens = camera.principal_distance_mm / camera.pixel_mm, camera.distortion
+    across, down = camera.principal_point_px
+    wall = camera.wall if isinstance(camera.wall, Wall) else None
+    bends = wall is not None and len(set(wall.indices)) > 1
     parts = [
         "# Camera Model",
-        "PINPLATE" if wall else "PINHOLE",
+        "PINPLATE" if bends else "PINHOLE",
         "# Camera Calibration Error",
         "None",
         "# Pose Calibration Error",
@@ -140,7 +134,7 @@ def camera_text(camera: Camera) -> str:
         "# Inverse of Translation Vector",
         _row(center),
     ]
-    return "\n".join([*parts, *(_plates(wall) if wall else ())]) + "\n"
+    return "\n".join([*parts, *(_plates(wall) if wall and bends else ())]) + "\n"
 
 
 def missing() -> str | None:
@@ -201,7 +195,7 @@ def write_frame(folder: Path, frame: int, images: F32) -> None:
     for camera, image in enumerate(images):
         path = folder / f"cam{camera}" / f"{frame:05d}.tif"
         path.parent.mkdir(exist_ok=True)
-        tifffile.imwrite(path, np.clip(np.rint(BRIGHT * image), 0, WHITE).astype(np.uint8))
+        tifffile.imwrite(path, to_8_bits(image))
 
 
 def write_project(
@@ -273,11 +267,8 @@ def read_result(folder: Path, frames: int) -> list[FoundParticles]:
 
 def read_particles(folder: Path, frames: int) -> list[FoundParticles]:
     """Read the particles of every frame from a reconstruction without tracks."""
-    tables = [
-        np.loadtxt(folder / f"found_{frame:05d}.txt", ndmin=2).reshape(-1, 3)
-        for frame in range(frames)
-    ]
-    return [FoundParticles(table) for table in tables]
+    files = (folder / f"found_{frame:05d}.txt" for frame in range(frames))
+    return [FoundParticles(np.loadtxt(file, ndmin=2).reshape(-1, 3)) for file in files]
 
 
 def solve(folder: Path, frames: int) -> list[FoundParticles]:
@@ -294,7 +285,6 @@ def solve(folder: Path, frames: int) -> list[FoundParticles]:
 # files that OpenLPT's own programs read as the result
 _KINDS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")
 _HEAD = ("TrackID", "FrameID", "WorldX", "WorldY", "WorldZ")
-_NONE = np.zeros(0, dtype=np.int64)
 LOST_OF_TRACKS = (
     "intensities, velocities and accelerations",
     "light of each camera, covariances and probabilities",
@@ -323,7 +313,8 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
 
 def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
     """Read files of tracks; numbers of a file follow those of the file before."""
-    frame, position, number = list[I64](), [np.zeros((0, 3))], list[I64]()
+    none = np.zeros(0, dtype=np.int64)
+    frame, position, number = [none], [np.zeros((0, 3))], [none]
     before = 0
     for file in files:
         part = _read_file(file, unit)
@@ -332,8 +323,8 @@ def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
         frame.append(part.frame)
         position.append(part.position_mm)
         number.append(shifted)
-    numbers = [np.concatenate([_NONE, *column]) for column in (frame, number)]
-    return TrackTable(numbers[0], np.concatenate(position), numbers[1]).sorted()
+    numbers, tracks = np.concatenate(frame), np.concatenate(number)
+    return TrackTable(numbers, np.concatenate(position), tracks).sorted()
 
 
 def _read_file(file: Path, unit: str | None) -> TrackTable:
@@ -341,7 +332,9 @@ def _read_file(file: Path, unit: str | None) -> TrackTable:
     table = read_table(file, 5)
     names = [name.strip() for name in table.names]
     if not len(table.values):
-        return TrackTable(_NONE, np.zeros((0, 3)), _NONE)
+        return TrackTable(
+            np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+        )
     missing = next((name for name in _HEAD if name not in names), None)
     if missing:
         raise InputError(

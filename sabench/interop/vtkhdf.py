@@ -69,33 +69,20 @@ def _export_truth(root: Path, data: Dataset) -> None:
     for frame in progress_bar(range(data.setup.frames), "export"):
         if "particles" in data.shows:
             particles, grid = data.particles(frame), data.setup.grid
-            values = {
-                "id": particles.id,
-                "diameter_mm": particles.diameter_mm,
-                "velocity_mm_s": particles.velocity_mm_s,
-            }
+            names = ("id", "diameter_mm", "velocity_mm_s")
+            values = {name: getattr(particles, name) for name in names}
             write_points(root / f"particles_{frame:04d}.vtkhdf", particles.position_mm, values)
-            volume = true_field(grid, particles, data.views(frame))
-            write_lattice(
-                root / f"volume_{frame:04d}.vtkhdf",
-                grid.low_mm,
-                grid.voxel_mm,
-                {"intensity": volume},
-            )
+            volume = {"intensity": true_field(grid, particles, data.views(frame))}
+            path = root / f"volume_{frame:04d}.vtkhdf"
+            write_lattice(path, grid.low_mm, grid.voxel_mm, volume)
         if world.tracers is not None and world.tracers.flow is not None:
             field, slopes = sample_lattice(scene, frame, step, data.manifest.seed)
-            write_lattice(
-                root / f"flow_{frame:04d}.vtkhdf",
-                field.low_mm,
-                field.step_mm,
-                _field(field, slopes),
-            )
+            path = root / f"flow_{frame:04d}.vtkhdf"
+            write_lattice(path, field.low_mm, field.step_mm, _field(field, slopes))
         if isinstance(world, BubbleWorld) and world.bubbles is not None:
             bubbles = data.bubbles(frame)
-            about = {"id": bubbles.id, "velocity_mm_s": bubbles.velocity_mm_s}
-            write_points(
-                root / f"bubbles_{frame:04d}.vtkhdf", bubbles.center_mm, _shapes(bubbles) | about
-            )
+            about = _shapes(bubbles) | {"id": bubbles.id, "velocity_mm_s": bubbles.velocity_mm_s}
+            write_points(root / f"bubbles_{frame:04d}.vtkhdf", bubbles.center_mm, about)
         if isinstance(world, BubbleWorld) and world.solids:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
 
@@ -126,26 +113,14 @@ def _write_detections(root: Path, data: Dataset, frame: int, estimate: Detection
     if data.has_truth:
         true = data.bubbles(frame)
         i, j = match_bubbles(estimate.center_mm, true.center_mm, true.radius_mm)
-        which = np.full(len(estimate.center_mm), -1)
-        which[i] = j
-        hit = which >= 0
-        matched = true[which[hit]]
-        identity, error_mm, radius = (
-            np.full(len(hit), -1),
-            np.full((len(hit), 3), np.nan),
-            np.full(len(hit), np.nan),
-        )
-        identity[hit], error_mm[hit], radius[hit] = (
-            matched.id,
-            estimate.center_mm[hit] - matched.center_mm,
-            estimate.radius_mm[hit] - matched.radius_mm,
-        )
-        values |= {
-            "matched": hit.astype(np.uint8),
-            "true_id": identity,
-            "error_mm": error_mm,
-            "radius_error_mm": radius,
-        }
+        hit = np.zeros(len(estimate.center_mm), dtype=np.uint8)
+        identity, error_mm = np.full(len(hit), -1), np.full((len(hit), 3), np.nan)
+        radius_mm = error_mm[:, 0].copy()
+        hit[i], identity[i] = 1, true.id[j]
+        error_mm[i] = estimate.center_mm[i] - true.center_mm[j]
+        radius_mm[i] = estimate.radius_mm[i] - true.radius_mm[j]
+        values |= {"matched": hit, "true_id": identity}
+        values |= {"error_mm": error_mm, "radius_error_mm": radius_mm}
     write_points(root / f"bubbles_{frame:04d}.vtkhdf", estimate.center_mm, values)
 
 

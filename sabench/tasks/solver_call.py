@@ -5,7 +5,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -131,7 +131,7 @@ class FrameReader:
 
     data: Dataset
     frames: range
-    seconds: float = field(default=0.0)
+    seconds: float = 0.0
 
     def __call__(self, number: int) -> Observation:
         """Read a frame of the sequence, counted from its first."""

@@ -33,7 +33,8 @@ LARGEST = 1e15  # no meaningful score is beyond it
 # another order
 ALIKE, AGREEING = 0.95, 0.9
 # ranges of scores
-ANY, ERROR, SHARE, PERCENT = (-LARGEST, LARGEST), (0.0, LARGEST), (0.0, 1.0), (0.0, 100.0)
+ANY = (-LARGEST, LARGEST)
+ERROR, SHARE, PERCENT = (0.0, LARGEST), (0.0, 1.0), (0.0, 100.0)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ Bool = npt.NDArray[np.bool_]
 Rows = tuple[tuple[float, ...], ...]
 
 # no length, velocity, angle or coefficient is beyond it, and its square still has many digits
+UP = (0.0, -1.0, 0.0)  # Y points down, as in the images
 LARGEST = 1e12
 FROM_MAD = 1.4826  # standard deviation of normal numbers over their median absolute deviation
 

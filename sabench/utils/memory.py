@@ -11,17 +11,17 @@ import numpy as np
 
 _LARGEST = 31 << 20  # bytes of a block that glibc lets a process keep, at most
 
-_children = [0.0]  # largest peak of a child process (MB)
+_children: list[float] = []  # largest peak of a child process (MB)
 
 
 def add_child(mb: float) -> None:
     """Count the peak of a child process in addition to this process's own memory."""
-    _children[0] = max(_children[0], mb)
+    _children[:] = [max([mb, *_children])]
 
 
 def forget_peak() -> None:
     """Reset the process's memory high-water mark, where the system can (Linux)."""
-    _children[0] = 0.0
+    _children.clear()
     marks = Path("/proc/self/clear_refs")
     # not permitted in some containers: the peak of the whole process is then an upper bound
     with contextlib.suppress(OSError):
@@ -36,13 +36,13 @@ def peak_mb() -> float | None:
     """
     status = Path("/proc/self/status")
     if status.exists():
-        return _read_kb(status, "VmHWM:") * 1024 / 1e6 + _children[0]
+        return _read_kb(status, "VmHWM:") * 1024 / 1e6 + sum(_children)
     try:
         import resource
     except ImportError:  # Windows
         return None
     # macOS counts bytes
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6 + _children[0]
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6 + sum(_children)
 
 
 def _read_kb(table: Path, key: str) -> int:

@@ -14,7 +14,7 @@ from sabench.utils.compiled import numba
 _ROUNDS = 10
 _FIRST, _SECOND = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)  # multipliers
 _FIRST_STEP, _SECOND_STEP = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)  # of the key's words
-_WORD, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+_HALF = np.uint64(32)  # bits of a word
 
 Key = tuple[np.uint64, np.uint64]
 
@@ -26,14 +26,20 @@ def draw_key(rng: np.random.Generator) -> Key:
 
 
 @numba.njit(cache=True, inline="always")
+def _low(number: Any) -> Any:
+    """Return the lower word of a uint64."""
+    return np.uint64(np.uint32(number))
+
+
+@numba.njit(cache=True, inline="always")
 def block(key: Any, c0: Any, c1: Any, c2: Any, c3: Any) -> Any:
     """Compute the block of a counter: four words of 32 bits, each in a uint64."""
     k0, k1 = key
     for _ in range(_ROUNDS):
         even, odd = _FIRST * c0, _SECOND * c2
-        c0, c1 = (odd >> _HALF) ^ c1 ^ k0, odd & _WORD
-        c2, c3 = (even >> _HALF) ^ c3 ^ k1, even & _WORD
-        k0, k1 = (k0 + _FIRST_STEP) & _WORD, (k1 + _SECOND_STEP) & _WORD
+        c0, c1 = (odd >> _HALF) ^ c1 ^ k0, _low(odd)
+        c2, c3 = (even >> _HALF) ^ c3 ^ k1, _low(even)
+        k0, k1 = _low(k0 + _FIRST_STEP), _low(k1 + _SECOND_STEP)
     return c0, c1, c2, c3
 
 

@@ -21,7 +21,6 @@ from numpy.polynomial import chebyshev
 from sabench.utils.compiled import numba
 
 LANES = 8  # pixels of a row, in kernels that take several simultaneously
-_INT = ir.IntType(32)
 
 
 class Vectors:
@@ -41,7 +40,7 @@ class Vectors:
 
     def splat(self, value: Any) -> Any:
         """Return a vector of one value."""
-        first = self.builder.insert_element(self.zero, value, ir.Constant(_INT, 0))
+        first = self.builder.insert_element(self.zero, value, ir.Constant(cgutils.int32_t, 0))
         return self.builder.shuffle_vector(first, first, self._mask([0] * self.length))
 
     def load(self, pointer: Any) -> Any:
@@ -99,7 +98,7 @@ class Vectors:
 
     def lane(self, values: Any, number: int) -> Any:
         """Return one value of a vector."""
-        return self.builder.extract_element(values, ir.Constant(_INT, number))
+        return self.builder.extract_element(values, ir.Constant(cgutils.int32_t, number))
 
     def moved(self, values: Any, end: Any) -> Any:
         """Return values of the next lanes; the last lane gets another value."""
@@ -127,7 +126,7 @@ class Vectors:
 
     @staticmethod
     def _mask(places: Sequence[int]) -> Any:
-        return ir.Constant(ir.VectorType(_INT, len(places)), list(places))
+        return ir.Constant(ir.VectorType(cgutils.int32_t, len(places)), list(places))
 
 
 @intrinsic

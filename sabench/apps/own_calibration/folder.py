@@ -23,7 +23,7 @@ from sabench.images.image_reading import read_photographs
 from sabench.scenes.build import build_walls, wall_towards
 from sabench.scenes.cameras import DistortionSpec
 from sabench.scenes.wall import WallTable
-from sabench.utils.arrays import F64, I64, LARGEST, triple
+from sabench.utils.arrays import F64, I64, LARGEST, UP, triple
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside, read_toml
 from sabench.utils.progress import progress_bar
@@ -224,9 +224,6 @@ def _number(where: str, line: dict[str, str], key: str) -> float:
     return value
 
 
-_UP = (0.0, -1.0, 0.0)
-
-
 class TargetSpec(Table):
     """Calibration target with a regular pattern."""
 
@@ -297,7 +294,7 @@ class Configuration(Table):
         description="file of a rigid target of any shape: columns point,x_mm,y_mm,z_mm; without it "
         "and without `target`, points.csv has the measured place of every point",
     )
-    up: Direction = Field(_UP, description="direction of the world that images show upwards")
+    up: Direction = Field(UP, description="direction of the world that images show upwards")
     array: ArraySpec | None = None
     wall: WallTable | None = None
     cameras: tuple[_NominalCamera, ...] = ()
@@ -317,7 +314,6 @@ class Configuration(Table):
 
 
 CONFIGURATION, IMAGES, POINTS = "calibration.toml", "images", "points.csv"
-_ANY_ROTATION = aimed_rotation(np.array([0.0, 0.0, 1.0]))  # until a camera is aimed
 _SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 
 
@@ -412,7 +408,7 @@ def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
             rows=shared.rows,
             columns=shared.columns,
             center_mm=spec.center_mm,
-            rotation=_ANY_ROTATION,
+            rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),  # until the camera is aimed
             principal_distance_mm=distance_mm or focal_length_mm,
             pixel_mm=spec.pixel_mm or shared.pixel_mm,
             principal_point_px=spec.principal_point_px

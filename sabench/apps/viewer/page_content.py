@@ -28,7 +28,6 @@ _PLANES = 40
 _SLICE_PX, _LONGEST_PX = 480, 1024
 _QUALITY = 80
 _DARKEST = 20.0  # percentile shown as black
-_X, _Y, _Z = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -136,13 +135,19 @@ def volume_stack(volume: F32, grid: Grid) -> PlaneStack:
     block = -(-max(volume.shape[1:]) // _SLICE_PX)
     padded = np.pad(volume, ((0, -len(volume) % thick), (0, 0), (0, 0)))
     joined = join_blocks(padded.reshape(-1, thick, *volume.shape[1:]).max(axis=1), block)
-    (low, high), step = grid.box_mm, thick * grid.voxel_mm[2]
-    corner = low + step / 2.0 * _Z
-    place = Planes(corner, (high - low) * _X, (high - low) * _Y, step * _Z)
+    low, high = grid.box_mm
+    place = _place_slabs(low, high - low, thick * grid.voxel_mm[2])
     # find the value shown as white; few voxels may be bright at all
     bright = joined[joined > 0.0]
     white = float(np.percentile(bright, BRIGHTEST)) if bright.size else 1.0
     return PlaneStack("reconstruction", place, grey_levels(joined, white, GAMMA))
+
+
+def _place_slabs(low: F64, size: F64, thickness: float) -> Planes:
+    """Place planes of constant Z in the middles of a box's slabs."""
+    across, down, _ = np.diag(size)
+    step = np.array([0.0, 0.0, thickness])
+    return Planes(low + step / 2.0, across, down, step)
 
 
 def _viewing_axis(case: Observation) -> tuple[int, int]:
@@ -165,8 +170,7 @@ def _by_slabs(case: Observation, images: F32) -> tuple[F32, Planes]:
     edges = size / shape[::-1]
     grid = Grid(triple(low + edges / 2.0), triple(edges), shape)
     planes = join_blocks(refocus_sum(images, case.cameras, grid), finer)
-    place = Planes(low + edges[2] / 2.0 * _Z, size * _X, size * _Y, edges[2] * _Z)
-    return planes, place
+    return planes, _place_slabs(low, size, edges[2])
 
 
 def _plane_by_plane(case: Observation, images: F32, axis: int, sign: int) -> tuple[F32, Planes]:
@@ -189,8 +193,8 @@ def _plane_by_plane(case: Observation, images: F32, axis: int, sign: int) -> tup
 
 def _place_planes(low_mm: F64, high_mm: F64, axis: int, sign: int) -> Planes:
     """Place planes across an axis of a box; their front faces the cameras."""
-    size, ahead = high_mm - low_mm, sign * np.eye(3)[axis]
-    down = _Z if axis == 1 else _Y
+    size, axes = high_mm - low_mm, np.eye(3)
+    ahead, down = sign * axes[axis], axes[2 if axis == 1 else 1]
     across = np.cross(down, ahead)
     edges = abs(size @ across) * across, abs(size @ down) * down
     step = ahead * size[axis] / _PLANES

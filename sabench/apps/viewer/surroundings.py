@@ -198,7 +198,6 @@ def rounded(values: npt.ArrayLike, decimals: int = _DECIMALS) -> Any:
 _AROUND, _NEAR, _CAMERA = 0.06, 0.6, 0.03
 _NAMES = ("x", "y", "z")
 _ARC = np.linspace(0.0, 2.0 * np.pi, 73)[:, None]
-_SIGNS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 
 
 def draw_surroundings(around: Surroundings, *, near: bool = False) -> list[tuple[str, str]]:
@@ -227,19 +226,21 @@ def _draw(rig: dict[str, Any], plane: list[int], *, near: bool) -> tuple[str, st
     length = _CAMERA * float((high - low).max())
     shapes += [_symbol(camera, plane, length) for camera in rig["cameras"]]
     if rig["sheet"] is not None:
-        shapes.append(Outline("sheet", _hull(_box(rig["sheet"]), plane), closed=True))
+        half, axes = np.array(rig["sheet"]["size"]) / 2.0, np.array(rig["sheet"]["axes"])
+        ends = rig["sheet"]["center"] + _box(-half, half) @ axes
+        shapes.append(Outline("sheet", _hull(ends, plane), closed=True))
     names = _NAMES[plane[0]], _NAMES[plane[1]]
     title = f"{'Volume' if near else 'Rig'}, {names[0]} and {names[1]}"
     return title, draw_outlines(title, shapes, low, high, names)
 
 
 def _corners(rig: dict[str, Any]) -> F64:
-    low, high = np.array(rig["volume"])
-    return np.asarray((low + high) / 2.0 + _SIGNS * (high - low))
+    return _box(*np.array(rig["volume"]))
 
 
-def _box(sheet: dict[str, Any]) -> F64:
-    return np.asarray(sheet["center"] + (_SIGNS * sheet["size"]) @ np.array(sheet["axes"]))
+def _box(low: F64, high: F64) -> F64:
+    """List the corners (8, 3) of a box."""
+    return np.array(list(itertools.product(*zip(low, high, strict=True))))
 
 
 def _faces(wall: dict[str, Any]) -> Iterator[F64]:

@@ -13,7 +13,6 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.validation import validate
 
-FORMAT, VERSION = "sabench-baseline", 1
 DATA = "data set"  # in place of a solver for the figures of the data set itself
 TIMES = ("seconds", "reconstruction_s")
 COMPARED_COSTS = (*TIMES, "peak_mb")
@@ -157,13 +156,14 @@ def read_baseline(path: Path, suite: str) -> Baseline:
             "makes one (in pytest --sabench-update)"
         )
     values = read_json(path)
-    if not isinstance(values, dict) or values.get("format") != FORMAT:
+    form, version = (Baseline.model_fields[key].default for key in ("format", "version"))
+    if not isinstance(values, dict) or values.get("format") != form:
         raise InputError(
-            f"{path}: expected a baseline, that is a JSON object of the format {FORMAT!r}"
+            f"{path}: expected a baseline, that is a JSON object of the format {form!r}"
         )
-    if values.get("version") != VERSION:
+    if values.get("version") != version:
         raise InputError(
-            f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with "
+            f"{path}: expected version {version}, got {values.get('version')!r}: make it anew with "
             "--update"
         )
     baseline = validate(Baseline, values, str(path))

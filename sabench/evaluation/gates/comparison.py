@@ -10,7 +10,7 @@ import json
 import re
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -69,11 +69,10 @@ def score_known_wrong(data: Dataset, out: Path) -> dict[str, float]:
             for frame in task.frames(data):
                 writer.add(task.wrong(data, frame), frame)
         scores = score(data, out)
-        values = {column.key: scores.get(column.key) for column in task.all_scores}
         figures |= {
-            f"probe.{task.name}.{key}": float(value)
-            for key, value in values.items()
-            if value is not None
+            f"probe.{task.name}.{column.key}": float(value)
+            for column in task.all_scores
+            if (value := scores.get(column.key)) is not None
         }
     return figures
 
@@ -84,19 +83,11 @@ _COMPILE = "compile_s"  # depends on what the cache holds, and on nothing that a
 
 def names_of(solver_entries: Sequence[SolverEntry], where: str) -> dict[str, SolverEntry]:
     """Name each solver of a case: by its label, or its name and parameters."""
-    named = {
-        (
-            entry.label
-            or " ".join(
-                # a program's file name, which is the same on other machines
-                [
-                    solver_name(entry.name),
-                    *(f"{k}={json.dumps(v)}" for k, v in entry.parameters.items()),
-                ]
-            )
-        ): entry
-        for entry in solver_entries
-    }
+    named: dict[str, SolverEntry] = {}
+    for entry in solver_entries:
+        pairs = [f"{k}={json.dumps(v)}" for k, v in entry.parameters.items()]
+        # a program's file name, which is the same on other machines
+        named[entry.label or " ".join([solver_name(entry.name), *pairs])] = entry
     if len(named) < len(solver_entries):
         raise InputError(
             f"{where}: solvers: expected names, parameters or labels that differ, got "
@@ -124,22 +115,14 @@ def run_case(
         seed=case.seed,
         renderer=case.renderer,
         scene_hash=case.data_hash,
-        data={},
+        data=fingerprint(data) | score_known_wrong(data, out) if data.has_truth else {},
         solvers={},
     )
-    if data.has_truth:
-        statistics = {**fingerprint(data), **score_known_wrong(data, out)}
-        now = now.model_copy(update={"data": statistics})
     for name, solver_entry in names_of(case.solvers, f"case {case.name}").items():
-        if (
-            exit_first
-            and old
-            and any(
-                finding.worse
-                for finding in compare(drop_not_run(old, now), now, tasks_of(case), tolerances)
-            )
-        ):
-            break
+        if exit_first and old:
+            found = compare(drop_not_run(old, now), now, tasks_of(case), tolerances)
+            if any(finding.worse for finding in found):
+                break
         earlier = old.solvers.get(name) if old else None
         entry = _solve_again(case, data, solver_entry, out, earlier, tolerances)
         now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
@@ -150,11 +133,8 @@ def run_case(
 
 def drop_not_run(old: CaseEntry, now: CaseEntry) -> CaseEntry:
     """Remove the solvers that have not run now from the old entry."""
-    return old.model_copy(
-        update={
-            "solvers": {name: entry for name, entry in old.solvers.items() if name in now.solvers}
-        }
-    )
+    ran = {name: entry for name, entry in old.solvers.items() if name in now.solvers}
+    return old.model_copy(update={"solvers": ran})
 
 
 def tasks_of(case: Case) -> dict[str, str]:
@@ -309,9 +289,7 @@ def check(
         folder = work or Path(
             stack.enter_context(tempfile.TemporaryDirectory(prefix="sabench-check-"))
         )
-        report = _compare_suite(
-            suite, before, folder, solvers=given, exit_first=exit_first and not update
-        )
+        report = _compare_suite(suite, before, folder, given, exit_first and not update)
     if not update:
         return report
     write_baseline(file, report.now)
@@ -322,24 +300,13 @@ def _compare_suite(
     suite: str | Path,
     before: Baseline | None,
     work: Path,
-    *,
-    solvers: Sequence[SolverEntry] = (),
-    exit_first: bool = False,
+    solvers: Sequence[SolverEntry],
+    exit_first: bool,
 ) -> GateReport:
     """Run a suite on new data sets and compare it with a baseline, if there is one.
 
-    Parameters
-    ----------
-    work : folder for data sets and results; each data set is deleted after its comparison.
-    solvers : they run in place of the suite's own, each on the cases that have solvers of its task.
-        The baseline must be of the same solvers.
-    exit_first : stop at the first data set or solver with something worse.
-
-    Raises
-    ------
-    InputError
-        A bad suite, an unknown solver, solvers without any case for their task, or a baseline whose
-        data sets another renderer made.
+    Each data set is deleted after its comparison. Given solvers run in place of the suite's own,
+    each on the cases that have solvers of its task.
     """
     name, cases = find(suite, "scenes/suites").stem, _select_cases(load_suite(suite)[1], solvers)
     findings: list[Finding] = []
@@ -450,6 +417,7 @@ def _tolerances(
     return {task: default.get(task, {}) | earlier.get(task, {}) for task in {**default, **earlier}}
 
 
+_Place = tuple[str, int, str]  # case, seed and solver
 # characters that XML does not allow
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -467,53 +435,42 @@ def write_junit(path: Path, report: GateReport) -> None:
 
 def junit(report: GateReport) -> ElementTree.Element:
     """Build the root element of the XML."""
-    suite = ElementTree.Element("testsuite", name=f"sabench check {report.suite}")
-    places = [
-        (case.case, case.seed, solver)
-        for case in report.now.cases
-        for solver in (DATA, *case.solvers)
-    ]
-    lost = [place for finding in report.worse if (place := _place(finding)) not in places]
-    seconds = {
-        place: _seconds(case, place[2])
-        for case in report.now.cases
-        for place in places
-        if place[:2] == case.key
-    }
-    for place in dict.fromkeys(places + lost):
+    root = ElementTree.Element("testsuites")
+    suite = ElementTree.SubElement(root, "testsuite", name=f"sabench check {report.suite}")
+    seconds: dict[_Place, float] = {}
+    for case in report.now.cases:
+        seconds[*case.key, DATA] = 0.0
+        for solver, entry in case.solvers.items():
+            seconds[*case.key, solver] = entry.figures.get("seconds") or 0.0
+    worse, news = _sentences(report.worse), _sentences(report.news)
+    for place in {**seconds, **worse}:
         name, seed, solver = place
-        case = ElementTree.SubElement(
-            suite, "testcase", classname=f"{report.suite}.{name}.seed{seed}", name=_clean(solver)
-        )
-        case.set("time", f"{seconds.get(place, 0.0):.3f}")
-        worse = [_clean(finding.sentence) for finding in report.worse if _place(finding) == place]
-        if worse:
-            failure = ElementTree.SubElement(case, "failure", message=worse[0], type="regression")
-            failure.text = "\n".join(worse)
-        news = [_clean(finding.sentence) for finding in report.news if _place(finding) == place]
-        if news:
-            ElementTree.SubElement(case, "system-out").text = "\n".join(news)
-    failures = sum(case.find("failure") is not None for case in suite)
+        group = f"{report.suite}.{name}.seed{seed}"
+        node = ElementTree.SubElement(suite, "testcase", classname=group, name=_clean(solver))
+        node.set("time", f"{seconds.get(place, 0.0):.3f}")
+        if said := worse.get(place):
+            failure = ElementTree.SubElement(node, "failure", message=said[0], type="regression")
+            failure.text = "\n".join(said)
+        if place in news:
+            ElementTree.SubElement(node, "system-out").text = "\n".join(news[place])
     counts = {
         "tests": str(len(suite)),
-        "failures": str(failures),
+        "failures": str(len(worse)),
         "errors": "0",
         "skipped": "0",
         "time": f"{sum(seconds.values()):.3f}",
     }
     suite.attrib.update(counts)
-    root = ElementTree.Element("testsuites", counts | {"name": "sabench"})
-    root.append(suite)
+    root.attrib.update(counts | {"name": "sabench"})
     return root
 
 
-def _place(finding: Finding) -> tuple[str, int, str]:
-    return finding.case, finding.seed, finding.solver
-
-
-def _seconds(case: CaseEntry, solver: str) -> float:
-    entry = case.solvers.get(solver)
-    return (entry.figures.get("seconds") if entry else None) or 0.0
+def _sentences(findings: Iterable[Finding]) -> dict[_Place, list[str]]:
+    """Group sentences by case, seed and solver."""
+    found: dict[_Place, list[str]] = {}
+    for one in findings:
+        found.setdefault((one.case, one.seed, one.solver), []).append(_clean(one.sentence))
+    return found
 
 
 def _clean(text: str) -> str:

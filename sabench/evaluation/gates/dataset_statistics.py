@@ -63,15 +63,17 @@ def _spread(prefix: str, names: Sequence[str], values: F64) -> dict[str, float]:
     finite = values[np.isfinite(values).all(axis=1)]
     if not len(finite):
         return {}
-    means = {
-        f"{prefix}{name}_mean": float(value)
-        for name, value in zip(names, finite.mean(axis=0), strict=True)
+    both = {"mean": finite.mean(axis=0)} | ({"std": finite.std(axis=0)} if len(finite) > 1 else {})
+    return {
+        f"{prefix}{name}_{kind}": float(value)
+        for kind, values in both.items()
+        for name, value in zip(names, values, strict=True)
     }
-    return means | {
-        f"{prefix}{name}_std": float(value)
-        for name, value in zip(names, finite.std(axis=0), strict=True)
-        if len(finite) > 1
-    }
+
+
+def _join(parts: Sequence[object], key: str) -> F64:
+    """Join an array of all frames."""
+    return np.concatenate([getattr(part, key) for part in parts])
 
 
 def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
@@ -85,22 +87,15 @@ def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
     if "particles" in data.shows:
         every = [data.particles(frame) for frame in frames]
         yield "particles.count", float(sum(map(len, every)))
-        position, velocity, diameter = (
-            np.concatenate([getattr(frame, name) for frame in every])
-            for name in ("position_mm", "velocity_mm_s", "diameter_mm")
-        )
-        yield from _spread("particles.", axes, position).items()
-        yield from _spread("particles.velocity_", axes, velocity).items()
-        yield from _spread("particles.", ("diameter",), diameter[:, None]).items()
+        diameter = _join(every, "diameter_mm")[:, None]
+        yield from _spread("particles.", axes, _join(every, "position_mm")).items()
+        yield from _spread("particles.velocity_", axes, _join(every, "velocity_mm_s")).items()
+        yield from _spread("particles.", ("diameter",), diameter).items()
     if "bubbles" in data.shows:
         balls = [data.bubbles(frame) for frame in frames]
         yield "bubbles.count", float(sum(map(len, balls)))
-        center, size = (
-            np.concatenate([getattr(frame, name) for frame in balls])
-            for name in ("center_mm", "semi_axes_mm")
-        )
-        yield from _spread("bubbles.", axes, center).items()
-        yield from _spread("bubbles.axis_", ("0", "1", "2"), size).items()
+        yield from _spread("bubbles.", axes, _join(balls, "center_mm")).items()
+        yield from _spread("bubbles.axis_", ("0", "1", "2"), _join(balls, "semi_axes_mm")).items()
     if "code" in data.shows:
         code = code_of(data.scene, data.manifest.seed, 0)
         yield from _spread("code.", axes, code.points_mm[code.dark].reshape(-1, 3)).items()
@@ -113,21 +108,16 @@ def _collect_pixels(data: Dataset, number: int) -> tuple[F64, F64]:
     """
     frames = range(data.setup.frames)
     if data.shows_target:
-        points, pixels = (
-            data.placed().points_mm.reshape(-1, 3),
-            data.sightings()[0][number].reshape(-1, 2),
-        )
+        points = data.placed().points_mm.reshape(-1, 3)
+        pixels = data.sightings()[0][number].reshape(-1, 2)
     elif "particles" in data.shows:
-        points = np.concatenate([data.particles(frame).position_mm for frame in frames])
+        points = _join([data.particles(frame) for frame in frames], "position_mm")
         views = [data.views(frame)[number] for frame in frames]
-        pixels = np.concatenate(
-            [np.where(view.visible[:, None] > 0.0, view.pixel, np.nan) for view in views]
-        )
+        pixels = np.where(_join(views, "visible")[:, None], _join(views, "pixel"), np.nan)
     else:
-        points = np.concatenate([data.bubbles(frame).center_mm for frame in frames])
-        pixels = np.concatenate(
-            [data.sight(frame, data.true_cameras[number]).pixel for frame in frames]
-        )
+        points = _join([data.bubbles(frame) for frame in frames], "center_mm")
+        camera = data.true_cameras[number]
+        pixels = _join([data.sight(frame, camera) for frame in frames], "pixel")
     valid = np.isfinite(pixels).all(axis=1)
     return points[valid], pixels[valid]
 
@@ -143,20 +133,15 @@ def _light(data: Dataset, number: int) -> Iterator[tuple[str, float]]:
         return
     if "particles" in data.shows:
         views = [data.views(frame)[number] for frame in frames]
-        light = [
-            np.concatenate([getattr(view, key) for view in views])
-            for key in ("photons", "sigma_px")
-        ]
-        yield from _spread(f"{name}.", ("photons", "sigma_px"), np.column_stack(light)).items()
+        keys = ("photons", "sigma_px")
+        light = np.column_stack([_join(views, key) for key in keys])
+        yield from _spread(f"{name}.", keys, light).items()
         yield f"{name}.visible", float(sum(view.visible.sum() for view in views))
     if "bubbles" in data.shows:
         sights = [data.sight(frame, data.true_cameras[number]) for frame in frames]
-        outlines = np.concatenate(
-            [np.ptp(sight.contour.astype(np.float64), axis=1) for sight in sights]
-        )
+        outlines = np.ptp(_join(sights, "contour").astype(np.float64), axis=1)
         yield from _spread(f"{name}.outline_", ("width", "height"), outlines).items()
-        shares = np.concatenate([sight.visible for sight in sights])
-        yield f"{name}.outline_seen", float(shares.mean())
+        yield f"{name}.outline_seen", float(_join(sights, "visible").mean())
         depth_mm = np.nanmean([np.nanmean(sight.depth_mm) for sight in sights])
         yield f"{name}.surface_depth_mean", float(depth_mm)
 
@@ -176,7 +161,5 @@ def _pictures(data: Dataset) -> Iterator[tuple[str, float]]:
             contrast = np.abs(grey - np.median(grey))
             for axis, name in ((1, "column"), (0, "row")):
                 weight = contrast.sum(axis=1 - axis)
-                yield (
-                    f"{where}grey_{name}",
-                    float(weight @ np.arange(len(weight)) / max(float(weight.sum()), 1e-300)),
-                )
+                total = max(float(weight.sum()), 1e-300)
+                yield f"{where}grey_{name}", float(weight @ np.arange(len(weight)) / total)

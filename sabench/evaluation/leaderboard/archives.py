@@ -22,7 +22,7 @@ import tomli_w
 
 from sabench.dataset.results import read_solver
 from sabench.dataset.verification import probe
-from sabench.evaluation.solver_card import CARD, MOST_CASES, SolverCard, check_solvers, read_cards
+from sabench.evaluation.solver_card import CARD, MOST_CASES, check_solvers, read_cards
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, zip_folder
 from sabench.utils.processes.program import ProgramLimits
@@ -198,15 +198,8 @@ def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
     packed, total, names, every = path.stat().st_size, 0, set(), []
     for member in itertools.islice(members, MOST_CASES + 1):
         total += member.bytes
-        name = member.name
-        parts = name.replace("\\", "/").split("/")
-        if (
-            name.startswith(("/", "\\"))
-            or ".." in parts
-            or ":" in parts[0]
-            or "\0" in name
-            or not name
-        ):
+        name, parts = member.name, member.name.replace("\\", "/").split("/")
+        if not name or not parts[0] or ".." in parts or ":" in parts[0] or "\0" in name:
             raise InputError(f"{path}: expected names inside the archive, got {printable(name)!r}")
         if member.name in names:
             raise InputError(
@@ -277,7 +270,13 @@ def pack_results(
         complete_or_nothing(out, overwrite=overwrite) as partial,
         tempfile.TemporaryDirectory(prefix="sabench-") as folder,
     ):
-        _copy_results(files, list(by_solver.values()), Path(folder))
+        for name, file in files.results:
+            place = Path(folder) / name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, place)
+        for number, card in enumerate(by_solver.values()):
+            place = Path(folder) / (f"{number}.{CARD}" if number else CARD)
+            place.write_text(tomli_w.dumps(card.model_dump()), encoding="utf-8")
         zip_folder(Path(folder), partial)
     return len(files.results), list(by_solver)
 
@@ -286,13 +285,3 @@ def check_archive_name(out: Path) -> None:
     """Refuse a name that is not one of a zip archive."""
     if out.suffix != ".zip":
         raise InputError(f"{out}: expected a name that ends in .zip for an archive of results")
-
-
-def _copy_results(files: Submitted, cards: list[SolverCard], folder: Path) -> None:
-    for name, file in files.results:
-        place = folder / name
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, place)
-    for number, card in enumerate(cards):
-        place = folder / (f"{number}.{CARD}" if number else CARD)
-        place.write_text(tomli_w.dumps(card.model_dump()), encoding="utf-8")

@@ -301,21 +301,22 @@ def _with_speed(task: Task, cells: dict[str, Cell]) -> dict[str, Cell]:
     Kernels are compared, which differ little between machines; without them nothing is.
     """
     larger, least = task.columns[0].better == "larger", task.sufficient
-    enough = {
-        entry: cell.rank is not None
-        and cell.score is not None
-        and (cell.score.mean >= least if larger else cell.score.mean <= least)
+    marked = {
+        entry: replace(
+            cell,
+            sufficient=cell.rank is not None
+            and cell.score is not None
+            and (cell.score.mean >= least if larger else cell.score.mean <= least),
+        )
         for entry, cell in cells.items()
     }
     times = {
-        entry: cells[entry].kernels
-        for entry, meets in enough.items()
-        if meets and cells[entry].kernels is not None
+        entry: cell.kernels
+        for entry, cell in marked.items()
+        if cell.sufficient and cell.kernels is not None
     }
-    best = min((time for time in times.values() if time is not None), default=None)
+    best = min(times.values(), default=None)
     return {
-        entry: replace(
-            cell, sufficient=enough[entry], fastest=entry in times and times[entry] == best
-        )
-        for entry, cell in cells.items()
+        entry: replace(cell, fastest=entry in times and times[entry] == best)
+        for entry, cell in marked.items()
     }

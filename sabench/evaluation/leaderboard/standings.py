@@ -304,13 +304,10 @@ def _seniority(result: Result) -> tuple[bool, str, str, str]:
 def _placed(lines: list[Line]) -> list[Line]:
     """Order lines by mean rank, incomplete ones last, and give the others places."""
     complete = [line.mean_rank for line in lines if line.complete]
-    placed = [
-        replace(line, place=1 + sum(other < line.mean_rank for other in complete))
-        if line.complete
-        else line
-        for line in lines
-    ]
-    return sorted(placed, key=lambda line: (line.missing, line.mean_rank, line.result.place))
+    for n, line in enumerate(lines):
+        if line.complete:
+            lines[n] = replace(line, place=1 + sum(other < line.mean_rank for other in complete))
+    return sorted(lines, key=lambda line: (line.missing, line.mean_rank, line.result.place))
 
 
 # lines of one suite, the best first, and of all suites for browsers without scripts
@@ -340,7 +337,8 @@ def front_of(cases: Sequence[Sequence[Record]]) -> tuple[dict[str, Any], list[di
 
 def _describe(board: Board) -> dict[str, Any]:
     lines = board.lines[:_MOST_LINES]
-    tied = [_tied([line.cells[n] for line in board.lines]) for n in range(len(board.columns))]
+    cells = zip(*(line.cells for line in board.lines), strict=True)
+    counts = [Counter(cell.rank for cell in column) for column in cells]  # ranks of each column
     names = _names([line.result.row for line in lines])
     task, first = board.task, board.task.columns[0]
     words = "or more" if first.better == "larger" else "or less"
@@ -360,18 +358,18 @@ def _describe(board: Board) -> dict[str, Any]:
                 "place": line.place,
                 "meanRank": short(line.mean_rank),
                 "also": [_sender(row) for row in line.also],
-                "cells": [_cell(cell, marks) for cell, marks in zip(line.cells, tied, strict=True)],
+                "cells": [_cell(cell, n) for cell, n in zip(line.cells, counts, strict=True)],
             }
             for line, name in zip(lines, names, strict=True)
         ],
     }
 
 
-def _cell(cell: Cell, tied: set[int]) -> dict[str, Any]:
+def _cell(cell: Cell, counts: Mapping[int | None, int]) -> dict[str, Any]:
     """Describe a cell for the page; what is false or missing is left out."""
     values = {
         "rank": cell.rank,
-        "tied": cell.rank in tied,
+        "tied": cell.rank is not None and counts[cell.rank] > 1,
         "best": cell.best,
         "score": pair(cell.score),
         "note": cell.note,
@@ -383,12 +381,6 @@ def _cell(cell: Cell, tied: set[int]) -> dict[str, Any]:
         "places": list(cell.places),
     }
     return {key: value for key, value in values.items() if value not in (None, False, "")}
-
-
-def _tied(cells: Sequence[Cell]) -> set[int]:
-    """List the ranks that several entries of a column share."""
-    counts = Counter(cell.rank for cell in cells if cell.rank is not None)
-    return {rank for rank, count in counts.items() if count > 1}
 
 
 def _title(board: Board) -> str:

@@ -50,29 +50,16 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
         == (manifest.scene_hash, manifest.seed, "public")
         for run in runs
     )
-    if not (recorded or is_public(manifest.scene_hash, manifest.seed)):
+    case = scene = manifest.scene
+    scene_hash, seed, split = manifest.scene_hash, manifest.seed, "public"
+    if not (recorded or is_public(scene_hash, seed)):
         # describe a private data set by its content hash alone
-        name = f"private-{data.content_hash[:12]}"
+        case, scene = f"private-{data.content_hash[:12]}", "private"
+        scene_hash, seed, split = data.content_hash, 0, "hidden"
         reason = "no public record and no bundled suite has its scene with its seed"
-        say(f"{data.root}: recorded as {name}: {reason}")
-        return {
-            "case": name,
-            "scene": "private",
-            "axes": {},
-            "scene_hash": data.content_hash,
-            "seed": 0,
-            "split": "hidden",
-            "renderer": data.manifest.renderer,
-        }
-    return {
-        "case": manifest.scene,
-        "scene": manifest.scene,
-        "axes": {},
-        "scene_hash": manifest.scene_hash,
-        "seed": manifest.seed,
-        "split": "public",
-        "renderer": manifest.renderer,
-    }
+        say(f"{data.root}: recorded as {case}: {reason}")
+    head = {"case": case, "scene": scene, "axes": {}, "scene_hash": scene_hash, "seed": seed}
+    return head | {"split": split, "renderer": manifest.renderer}
 
 
 def bundled_records(leaderboard: Path) -> list[Record]:
@@ -294,10 +281,8 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
 
 
 def _has(record: Record, key: str) -> bool:
-    value = record.get(key)
-    return (
-        isinstance(value, int | float) and not isinstance(value, bool) and not record.get("error")
-    )
+    number = isinstance(record.get(key), int | float) and not isinstance(record[key], bool)
+    return number and not record.get("error")
 
 
 def entry_name(record: Record) -> str:

@@ -29,10 +29,10 @@ from pathlib import Path
 
 # linux/sched.h: new namespaces of mounts, hosts' names, IPC, users, processes, network
 _NAMESPACES = 0x00020000 | 0x04000000 | 0x08000000 | 0x10000000 | 0x20000000 | 0x40000000
-_BIND, _RECURSIVE, _PRIVATE, _NO_SUID, _NO_DEV = 4096, 1 << 14, 1 << 18, 2, 4  # linux/mount.h
+_BIND, _RECURSIVE, _PRIVATE = 4096, 1 << 14, 1 << 18  # linux/mount.h
 _DETACH = 2  # for umount2: immediately, in use or not
 _PIVOT_ROOT = {"x86_64": 155, "aarch64": 41}
-_MOUNT_SETATTR, _HERE, _BELOW, _READ_ONLY = 442, -100, 0x8000, 1 | _NO_SUID
+_MOUNT_SETATTR, _BELOW = 442, 0x8000
 _DEATH_SIGNAL, _DROP_CAPABILITY, _NO_NEW_PRIVILEGES = 1, 24, 38  # for prctl
 _CAPABILITIES = 0x20080522  # version 3 of linux/capability.h
 _SYSTEM = [
@@ -174,12 +174,12 @@ def _enter(view: VisiblePaths) -> None:
     sources = {path: os.open(path, os.O_PATH) for path in mounts if path.exists()}
     here = Path.cwd()
     _mount(None, Path("/"), None, _RECURSIVE | _PRIVATE)
-    _mount("tmpfs", _ROOT, "tmpfs", _NO_SUID | _NO_DEV)
+    _mount_new("tmpfs", _ROOT)
     for path, target in links.items():
         _in_root(path).symlink_to(target)
     for path in _SCRATCH:
         _in_root(path).mkdir(parents=True)
-        _mount("tmpfs", _in_root(path), "tmpfs", _NO_SUID | _NO_DEV, "size=25%,mode=1777")
+        _mount_new("tmpfs", _in_root(path), "size=25%,mode=1777")
     for path in sorted(sources, key=lambda path: len(path.parts)):
         source = Path(f"/proc/self/fd/{sources[path]}")
         if mounts[path] is _hide and not _in_root(path).exists():
@@ -187,7 +187,7 @@ def _enter(view: VisiblePaths) -> None:
         _make_place(source, _in_root(path))
         mounts[path](source, _in_root(path))
     _in_root(Path("/proc")).mkdir()
-    _mount("proc", _in_root(Path("/proc")), "proc", _NO_SUID | _NO_DEV)
+    _mount_new("proc", _in_root(Path("/proc")))
     _make_read_only(_ROOT, below=False)
     for number in sources.values():
         os.close(number)
@@ -238,15 +238,20 @@ def _overlay(source: Path, place: Path) -> None:
     for name in ("upper", "work"):
         (layer / name).mkdir(parents=True)
     layers = f"lowerdir={source},upperdir={layer}/upper,workdir={layer}/work,userxattr"
-    _mount("overlay", place, "overlay", _NO_SUID | _NO_DEV, layers)
+    _mount_new("overlay", place, layers)
 
 
 def _hide(source: Path, place: Path) -> None:
     """Cover a folder or a file by an empty one."""
     if source.is_dir():
-        _mount("tmpfs", place, "tmpfs", _NO_SUID | _NO_DEV)
+        _mount_new("tmpfs", place)
     else:
         _mount("/dev/null", place, None, _BIND)
+
+
+def _mount_new(kind: str, place: Path, options: str | None = None) -> None:
+    """Mount a new file system; the flags of mount are those of statvfs."""
+    _mount(kind, place, kind, os.ST_NOSUID | os.ST_NODEV, options)
 
 
 def _mount(
@@ -258,8 +263,9 @@ def _mount(
 
 def _make_read_only(place: Path, *, below: bool) -> None:
     """Make a mount read-only, and those below it where `below` is true."""
-    change = struct.pack("4Q", _READ_ONLY, 0, 0, 0)
-    words = (_HERE, os.fsencode(place), _BELOW if below else 0, change, len(change))
+    change = struct.pack("4Q", os.ST_RDONLY | os.ST_NOSUID, 0, 0, 0)
+    # the first 0 would be the folder that a relative path starts from
+    words = (0, os.fsencode(place), _BELOW if below else 0, change, len(change))
     _call("syscall", _MOUNT_SETATTR, *words)
 
 

@@ -7,9 +7,7 @@ from pydantic import BaseModel, Field, model_validator
 
 from sabench.api.truth import Bubbles
 from sabench.geometry.rigid_motion import Domain
-from sabench.utils.arrays import F64, Bool
-
-_UP = np.array([0.0, -1.0, 0.0])  # Y points down, as in the images
+from sabench.utils.arrays import F64, UP, Bool
 
 
 class Spectrum(BaseModel):
@@ -85,7 +83,7 @@ def upright(rng: np.random.Generator, count: int, tilt: float) -> F64:
 
     They are tilted at random about both horizontal axes.
     """
-    short = np.tile(_UP, (count, 1))
+    short = np.tile(UP, (count, 1))
     short[:, [0, 2]] = np.tan(np.clip(tilt * rng.standard_normal((count, 2)), -1.5, 1.5))
     short /= np.linalg.norm(short, axis=1, keepdims=True)
     first = np.cross(short, [0.0, 0.0, 1.0])

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sabench.api.truth import Solid
+from sabench.geometry.grid import vorticity
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
@@ -21,7 +22,6 @@ from sabench.worlds.library.overlaps import contains
 
 _AT_REST = 1e-3  # of the mean flow: the speed that is left in the bodies, root mean square
 _ITERATIONS = 400
-_PAIRS = ((1, 2), (2, 0), (0, 1))  # curl_i = d_j A_k - d_k A_j
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,7 @@ class SlowFlow:
         places = (points_mm - self.box.low_mm) / self.box.step_mm
         on_cores(_slopes, len(slopes), self.splines, places, slopes)
         slopes /= self.box.step_mm
-        curl = np.stack([slopes[:, k, j] - slopes[:, j, k] for j, k in _PAIRS], axis=1)
-        return np.asarray(self.mean_mm_s + curl)
+        return np.asarray(self.mean_mm_s + vorticity(slopes))
 
     def gradient(self, points_mm: F64) -> F64:
         """Compute gradients (n, 3, 3), du_i / dx_j."""
@@ -82,7 +81,7 @@ class SlowFlow:
         places = (points_mm - self.box.low_mm) / self.box.step_mm
         on_cores(_bends, len(bends), self.splines, places, bends)
         bends /= self.box.step_mm**2
-        return np.stack([bends[:, k, j] - bends[:, j, k] for j, k in _PAIRS], axis=1)
+        return vorticity(bends.transpose(0, 3, 1, 2)).transpose(0, 2, 1).copy()
 
 
 def solve_oseen(

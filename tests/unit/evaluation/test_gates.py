@@ -16,7 +16,6 @@ from sabench import tasks
 from sabench.evaluation.gates import comparison
 from sabench.evaluation.gates.baseline import (
     DATA,
-    FORMAT,
     Baseline,
     CaseEntry,
     Entry,
@@ -168,7 +167,7 @@ def without_cases(text: str) -> str:
 
 FAULTS: dict[str, tuple[Any, str]] = {
     "no JSON": (lambda text: text[:-20], ""),
-    "another format": (lambda text: text.replace(FORMAT, "sabench-dataset"), ""),
+    "another format": (lambda text: text.replace("sabench-baseline", "sabench-dataset"), ""),
     "a list": (lambda text: "[]", ""),
     "another version": (lambda text: text.replace('"version": 1', '"version": 2'), "version 1"),
     "another suite": (lambda text: text.replace('"tiny"', '"large"'), "tiny"),
