@@ -18,7 +18,6 @@ ROOT = Path(__file__).resolve().parents[1]
 STRUCTURE = {
     "algorithms.particles.image_model.SHAPES",
     "algorithms.particles.image_model._ANY_ORDER",
-    "algorithms.particles.image_model._NONE",
     "algorithms.calibration.kernels.CAMERA",
     "algorithms.calibration.kernels.BOARD",
     "algorithms.calibration.kernels.BEND",

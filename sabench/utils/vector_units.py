@@ -10,6 +10,7 @@ windows of images.
 import functools
 import math
 from collections.abc import Callable, Sequence
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 from llvmlite import ir
@@ -308,23 +309,44 @@ def add_products(
 # `Room` (image_model.py), all cameras'. A window is that of camera c, from a row and a column on,
 # with so many rows.
 
-# Profiles of an image along columns and rows, for light 1, and their derivatives by the centre.
-# Plain images have OWN and SLOPE alone; the others are as `image_model` fills them in.
-FLAT_X, OWN_X, SLOPE_X, CURVE_X, THIRD_X, FLAT_SLOPE_X, CURVE_SLOPE_Y, SLOPE_Y = range(8)
-OWN_Y, WHOLE_Y, TILT_Y, CURVE_Y, WHOLE_SLOPE_Y, TILT_SLOPE_Y = range(8, 14)
-PROFILES = 14
+
+class Profile(IntEnum):
+    """Profiles of an image along columns and rows, for light 1, and derivatives.
+
+    Derivatives are those by the centre. Plain images have OWN and SLOPE alone; the others are as
+    `image_model` fills them in. The products of FLAT_X and the next three with OWN_Y and the next
+    three are the image.
+    """
+
+    FLAT_X, OWN_X, SLOPE_X, CURVE_X, THIRD_X, FLAT_SLOPE_X, CURVE_SLOPE_Y = range(7)
+    SLOPE_Y, OWN_Y, WHOLE_Y, TILT_Y, CURVE_Y, WHOLE_SLOPE_Y, TILT_SLOPE_Y = range(7, 14)
+
 
 Pairs = Sequence[tuple[int, int]]
 
 # of profiles that multiply to an image, and its derivatives by the centre's column and row
-PLAIN, PLAIN_BY_X, PLAIN_BY_Y = ((OWN_X, OWN_Y),), ((SLOPE_X, OWN_Y),), ((OWN_X, SLOPE_Y),)
-SHAPED = ((FLAT_X, OWN_Y), (OWN_X, WHOLE_Y), (SLOPE_X, TILT_Y), (CURVE_X, CURVE_Y))
-SHAPED_BY_X = ((SLOPE_X, WHOLE_Y), (CURVE_X, TILT_Y), (THIRD_X, CURVE_Y), (FLAT_SLOPE_X, OWN_Y))
+PLAIN, PLAIN_BY_X, PLAIN_BY_Y = (
+    ((Profile.OWN_X, Profile.OWN_Y),),
+    ((Profile.SLOPE_X, Profile.OWN_Y),),
+    ((Profile.OWN_X, Profile.SLOPE_Y),),
+)
+SHAPED = (
+    (Profile.FLAT_X, Profile.OWN_Y),
+    (Profile.OWN_X, Profile.WHOLE_Y),
+    (Profile.SLOPE_X, Profile.TILT_Y),
+    (Profile.CURVE_X, Profile.CURVE_Y),
+)
+SHAPED_BY_X = (
+    (Profile.SLOPE_X, Profile.WHOLE_Y),
+    (Profile.CURVE_X, Profile.TILT_Y),
+    (Profile.THIRD_X, Profile.CURVE_Y),
+    (Profile.FLAT_SLOPE_X, Profile.OWN_Y),
+)
 SHAPED_BY_Y = (
-    (OWN_X, WHOLE_SLOPE_Y),
-    (SLOPE_X, TILT_SLOPE_Y),
-    (CURVE_X, CURVE_SLOPE_Y),
-    (FLAT_X, SLOPE_Y),
+    (Profile.OWN_X, Profile.WHOLE_SLOPE_Y),
+    (Profile.SLOPE_X, Profile.TILT_SLOPE_Y),
+    (Profile.CURVE_X, Profile.CURVE_SLOPE_Y),
+    (Profile.FLAT_X, Profile.SLOPE_Y),
 )
 
 

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from sabench.algorithms.particles import matching
 from sabench.api import Camera, FoundParticles, Observation
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.grid import Grid
+from sabench.geometry.grid import AT_ONCE, Grid
 from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.peaks import Peaks
 from sabench.utils.arrays import F64, I64
@@ -28,7 +28,6 @@ from sabench.utils.arrays import F64, I64
 _PARALLEL_DEGREES = 1.0  # between an optical axis and the normal of the apertures' plane
 _EQUAL = 0.02  # relative difference of the sides of an equilateral triangle
 _THIRD = 4  # nearest images of the third camera that are tried
-_BATCH = 2000  # of the first camera's images at a time, for bounded memory
 
 
 @dataclass(frozen=True)
@@ -184,8 +183,9 @@ def _triples(
     # sides between the first two images run along the first axis
     order = np.argsort(second[:, 1], kind="stable")
     down = second[order, 1]
-    for start in range(0, len(first), _BATCH):
-        batch = first[start : start + _BATCH]
+    at_once = max(1, AT_ONCE // max(len(second), 1))
+    for start in range(0, len(first), at_once):
+        batch = first[start : start + at_once]
         low = np.searchsorted(down, batch[:, 1] - 2.0 * reach_px)
         high = np.searchsorted(down, batch[:, 1] + 2.0 * reach_px)
         member = np.repeat(np.arange(len(batch)), high - low)

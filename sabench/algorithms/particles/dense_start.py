@@ -24,6 +24,7 @@ from sabench.algorithms.particles.candidate_search import mean_spacing, pixel_mm
 from sabench.algorithms.particles.linking import ALIKE, NEIGHBOURS, link
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.api import Observation
+from sabench.geometry.grid import AT_ONCE
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64
 
@@ -46,7 +47,6 @@ _WIDTH = 0.15  # scatter of right votes in an interval, over the distance betwee
 _LEAST_SPREAD = 0.2  # of that scatter: the least of a velocity
 _FITS = 4  # of the densest velocity, and of its gradient
 _EVEN = 1e-3, 0.5  # weights of the prior of velocity and its gradient, in votes
-_PORTION = 4096  # positions in one step, for the memory
 
 
 def are_mostly_wrong(position: F64, shift: F64) -> bool:
@@ -225,8 +225,9 @@ def estimate_velocity(votes: LinkVotes, position: F64, spacing: float) -> tuple[
     _, rows = cKDTree(place).query(position, range(1, count + 1))
     width = _WIDTH * spacing / votes.interval
     parts = []
-    for first in range(0, len(position), _PORTION):
-        part, here = rows[first : first + _PORTION], position[first : first + _PORTION]
+    at_once = max(1, AT_ONCE // count**2)
+    for first in range(0, len(position), at_once):
+        part, here = rows[first : first + at_once], position[first : first + at_once]
         parts.append(_fit(velocity[part], (place[part] - here[:, None]) / spacing, width))
     none = np.zeros((0, 3))
     means, spreads = zip((none, none), *parts, strict=True)

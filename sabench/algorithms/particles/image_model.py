@@ -19,23 +19,8 @@ from sabench.images.gaussian_kernels import fill_derivatives, fill_profile
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.vector_units import (
-    CURVE_SLOPE_Y,
-    CURVE_X,
-    CURVE_Y,
-    FLAT_SLOPE_X,
-    FLAT_X,
     LANES,
-    OWN_X,
-    OWN_Y,
-    PLAIN,
-    PROFILES,
-    SHAPED,
-    SLOPE_X,
-    SLOPE_Y,
-    TILT_SLOPE_Y,
-    TILT_Y,
-    WHOLE_SLOPE_Y,
-    WHOLE_Y,
+    Profile,
     match_shaped,
     match_window,
     sum_shaped,
@@ -50,7 +35,6 @@ SHAPES = 4  # of `ImageModel.shapes`: two widths, covariance, and flatness
 TERMS = 5  # of each, over the box: 1, its three coordinates, and the square of the last
 MOST_FLAT = 0.07  # a disc of four widths' diameter; edges of flatter ones would be negative
 _ANY_ORDER = {"reassoc", "contract", "nsz"}  # of sums
-_NONE = np.float32(0.0)
 
 
 class Sum(IntEnum):
@@ -176,7 +160,7 @@ def make_room(sigma: F64) -> Room:
     window = 2 * half + 1
     return Room(
         window=window,
-        profiles=np.zeros((cameras, PROFILES, whole_lanes(window)), dtype=np.float32),
+        profiles=np.zeros((cameras, len(Profile), whole_lanes(window)), dtype=np.float32),
         corner=np.zeros((cameras, 2), dtype=np.int64),
         slope=np.zeros((cameras, 2, 3)),
         here=np.zeros((cameras, 2)),
@@ -214,7 +198,9 @@ def place_windows(model: Any, room: Any, position: Any) -> None:
             first = math.floor(room.here[c, k] + 0.5) - half
             last = model.left.shape[2 - k] - lanes
             room.corner[c, k] = min(max(first + MARGIN_PX, 0), last)
-            profile, slope = (OWN_X, SLOPE_X) if k == 0 else (OWN_Y, SLOPE_Y)
+            profile, slope = (
+                (Profile.OWN_X, Profile.SLOPE_X) if k == 0 else (Profile.OWN_Y, Profile.SLOPE_Y)
+            )
             shares, slopes = room.profiles[c, profile], room.profiles[c, slope]
             fill_profile(room.here[c, k], width, first, room.window, shares, slopes)
         if not is_plain(model.shapes, c):
@@ -247,36 +233,43 @@ def _shape_profiles(
     bend = 0.5 * tilt * tilt - 2.0 * flat * across * down
     column, row = -flat * across * across, -flat * down * down
     for k in range(2):
-        start = CURVE_X if k == 0 else WHOLE_Y  # of rows that have room for four derivatives
+        start = (
+            Profile.CURVE_X if k == 0 else Profile.WHOLE_Y
+        )  # of rows that have room for four derivatives
         fill_derivatives(here[k], width[k], corner[k] - MARGIN_PX, table[start : start + 4])
     for i in range(table.shape[1]):
-        table[FLAT_X, i] = column * table[CURVE_X + 2, i]
-        table[FLAT_SLOPE_X, i] = column * table[CURVE_X + 3, i]
-        second, third = table[WHOLE_Y, i], table[WHOLE_Y + 1, i]
-        fourth, fifth = table[WHOLE_Y + 2, i], table[WHOLE_Y + 3, i]
-        table[WHOLE_Y, i] = table[OWN_Y, i] + row * fourth
-        table[WHOLE_SLOPE_Y, i] = table[SLOPE_Y, i] + row * fifth
-        table[TILT_Y, i], table[TILT_SLOPE_Y, i] = tilt * table[SLOPE_Y, i], tilt * second
-        table[CURVE_Y, i], table[CURVE_SLOPE_Y, i] = bend * second, bend * third
+        table[Profile.FLAT_X, i] = column * table[Profile.CURVE_X + 2, i]
+        table[Profile.FLAT_SLOPE_X, i] = column * table[Profile.CURVE_X + 3, i]
+        second, third = table[Profile.WHOLE_Y, i], table[Profile.WHOLE_Y + 1, i]
+        fourth, fifth = table[Profile.WHOLE_Y + 2, i], table[Profile.WHOLE_Y + 3, i]
+        table[Profile.WHOLE_Y, i] = table[Profile.OWN_Y, i] + row * fourth
+        table[Profile.WHOLE_SLOPE_Y, i] = table[Profile.SLOPE_Y, i] + row * fifth
+        table[Profile.TILT_Y, i], table[Profile.TILT_SLOPE_Y, i] = (
+            tilt * table[Profile.SLOPE_Y, i],
+            tilt * second,
+        )
+        table[Profile.CURVE_Y, i], table[Profile.CURVE_SLOPE_Y, i] = bend * second, bend * third
+
+
+@numba.njit(cache=True, inline="always")
+def _products(shapes: Any, c: int) -> Any:
+    """Return an image's first profile across, and its number of products."""
+    return (Profile.OWN_X, 1) if is_plain(shapes, c) else (Profile.FLAT_X, 4)
 
 
 @numba.njit(cache=True)
 def fill_image(model: Any, room: Any, c: int, image: Any) -> None:
     """Fill in a camera's image (row, column), for light 1, after `place_windows`."""
-    if is_plain(model.shapes, c):
-        _fill_products(room, c, PLAIN, image)
-    else:
-        _fill_products(room, c, SHAPED, image)
-
-
-@numba.njit(cache=True)
-def _fill_products(room: Any, c: int, pairs: Any, image: Any) -> None:
-    """Fill in the sum of products of pairs of profiles."""
+    first, count = _products(model.shapes, c)
     for i in range(room.window):
         for j in range(room.window):
             image[i, j] = 0.0
-            for x, y in pairs:
-                image[i, j] += room.profiles[c, x, j] * room.profiles[c, y, i]
+            for k in range(count):
+                across, down = (
+                    room.profiles[c, first + k, j],
+                    room.profiles[c, Profile.OWN_Y + k, i],
+                )
+                image[i, j] += across * down
 
 
 # The indices of the windows' sums are unsigned: a signed one is compared with zero each time.
@@ -285,7 +278,8 @@ def _fill_products(room: Any, c: int, pairs: Any, image: Any) -> None:
 @numba.njit(cache=True)
 def counting(weight: Any, left: Any) -> Any:
     """Return the weight of a pixel with what is left there; 0 if it has enough light."""
-    return abs(weight) if (weight >= _NONE) | (left > _NONE) else _NONE
+    none = np.float32(0.0)
+    return abs(weight) if (weight >= none) | (left > none) else none
 
 
 @numba.njit(cache=True, fastmath=_ANY_ORDER)
@@ -306,9 +300,11 @@ def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
     """Add light (camera,) times a sign to the images, where `place_windows` was last."""
     for c in range(len(light)):
         rows, image, amount = room.profiles[c], model.left[c], sign * light[c]
-        first, pairs = (OWN_X, 1) if is_plain(model.shapes, c) else (FLAT_X, 4)  # as in SHAPED
-        for k in range(pairs):
-            _paint(image, rows[first + k], rows[OWN_Y + k], room.window, room.corner[c], amount)
+        first, count = _products(model.shapes, c)
+        for k in range(count):
+            _paint(
+                image, rows[first + k], rows[Profile.OWN_Y + k], room.window, room.corner[c], amount
+            )
 
 
 @numba.njit(cache=True)

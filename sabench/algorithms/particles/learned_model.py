@@ -35,7 +35,7 @@ from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
-from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, TILT_SLOPE_Y
+from sabench.utils.vector_units import Profile
 
 FEW = 30  # too few particles to represent all
 _STEPS = 2  # of a fit of the cameras' shifts or shapes
@@ -325,13 +325,17 @@ def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
         fill_derivatives(room.here[c, k], width[k], first[k], higher[k])
     across, down, plain = width[0] * width[0], width[1] * width[1], is_plain(model.shapes, c)
     for i in range(room.window):
-        y, y2, y4 = rows[OWN_Y, i], down * higher[1, 0, i], down * down * higher[1, 2, i]
+        y, y2, y4 = rows[Profile.OWN_Y, i], down * higher[1, 0, i], down * down * higher[1, 2, i]
         for j in range(room.window):
-            x, x2, x4 = rows[OWN_X, j], across * higher[0, 0, j], across * across * higher[0, 2, j]
+            x, x2, x4 = (
+                rows[Profile.OWN_X, j],
+                across * higher[0, 0, j],
+                across * across * higher[0, 2, j],
+            )
             changes[0, i, j], changes[1, i, j] = x2 * y / width[0], x * y2 / width[1]
-            changes[2, i, j] = rows[SLOPE_Y, i] * rows[SLOPE_X, j]
+            changes[2, i, j] = rows[Profile.SLOPE_Y, i] * rows[Profile.SLOPE_X, j]
             if not plain:
-                changes[2, i, j] += rows[TILT_SLOPE_Y, i] * rows[CURVE_X, j]
+                changes[2, i, j] += rows[Profile.TILT_SLOPE_Y, i] * rows[Profile.CURVE_X, j]
             changes[3, i, j] = -(x4 * y + 2.0 * x2 * y2 + x * y4)
 
 

@@ -38,7 +38,7 @@ from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
-from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
+from sabench.utils.vector_units import Profile
 
 # Removals:
 NEAR = 3.6  # widths of images: distance of those that overlap
@@ -196,8 +196,8 @@ def _match_bends(
     """
     left, weights, bends, shares = model.left[c], model.weight[c], np.zeros(3), np.zeros(3)
     column, row, whole, rest = room.corner[c, 0], room.corner[c, 1], 0.0, 0.0
-    by_x, by_y = room.profiles[c, SLOPE_X], room.profiles[c, SLOPE_Y]
-    x, y = room.profiles[c, OWN_X], room.profiles[c, OWN_Y]
+    by_x, by_y = room.profiles[c, Profile.SLOPE_X], room.profiles[c, Profile.SLOPE_Y]
+    x, y = room.profiles[c, Profile.OWN_X], room.profiles[c, Profile.OWN_Y]
     fill_image(model, room, c, image)
     pull[:], square[:] = 0.0, 0.0
     for i in range(room.window):

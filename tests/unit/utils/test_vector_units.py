@@ -54,7 +54,7 @@ def window(request: pytest.FixtureRequest) -> tuple[Any, Any, Any, int]:
     left, weight = (random.normal(size=(2, 40, 48)).astype(np.float32) for _ in range(2))
     weight = np.where(random.random(weight.shape) < 0.2, -np.abs(weight), np.abs(weight))
     profiles = random.normal(
-        size=(2, vector_units.PROFILES, vector_units.LANES * -(-size // vector_units.LANES))
+        size=(2, len(vector_units.Profile), vector_units.LANES * -(-size // vector_units.LANES))
     ).astype(np.float32)
     profiles[:, :, size:] = 0.0
     return left, weight, profiles, size
