@@ -44,7 +44,9 @@ _MORE = 0.5  # of the particles so far: new candidates
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
 _TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
-_PROMISING = 3.0  # units of the cost: particles with a larger predicted gain are tried
+# units of the cost, and times the median particle's predicted gain: particles with a larger
+# predicted gain are tried. Without the second, sequences of 0.18 particles per pixel lose .03 of F1
+_PROMISING, _TYPICAL = 3.0, 2.0
 _APART = 1.1  # widths: distance of the two of a split from their middle
 
 
@@ -373,8 +375,9 @@ class ParticleSearch:
         width = float(self.sigma.max())
         steps = _APART * width / self.maps.half_mm * candidate_search.split_directions(self.maps)
         gains = all_particles.split_gains(model, self.widest, self.particles(), steps)
+        least = _PROMISING + _TYPICAL * float(np.median(gains)) if count else 0.0
         order = np.argsort(-gains, kind="stable")
-        order = order[gains[order] > _PROMISING]
+        order = order[gains[order] > least]
         self.sure[order] = False
         self.append(self.position[order], self.light[order])
         spare = np.zeros(count, dtype=np.int64)
