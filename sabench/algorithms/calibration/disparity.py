@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.calibration.joint_fit import ROUNDS
 from sabench.algorithms.particles.matching import follow_lines, move_to_pixel
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
@@ -26,7 +25,8 @@ from sabench.utils.compiled import numba
 _CELL_PX = 1.0  # edge of the cells that count sets
 _SPOT_PX = 0.6  # radius of what belongs together
 _AROUND_PX = 1.5  # as far as a search for the middle of a spot goes
-_TRIED = 20  # crowded cells in which the middle of a spot is searched for
+# crowded cells in which the middle of a spot is searched for, and steps of the search
+_TRIED, _SHIFTS = 20, 10
 SETS = 1_000_000
 _STEP_PX = 1.5  # between positions on a line of sight, as the other cameras see them
 _PARTS = 3  # of the box along x and along y, each with a disparity of its own
@@ -107,7 +107,7 @@ def densest(values: F64) -> F64:
 def _shift_mean(values: F64, middle: F64) -> tuple[F64, int]:
     """Shift a point repeatedly to the mean of the values near it; count these."""
     near = np.zeros(len(values), dtype=np.bool_)
-    for _ in range(ROUNDS):
+    for _ in range(_SHIFTS):
         near = np.linalg.norm(values - middle, axis=1) <= _SPOT_PX
         if not near.any():
             break

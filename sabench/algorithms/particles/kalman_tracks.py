@@ -26,6 +26,8 @@ from sabench.utils.arrays import F64, FROM_MAD, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
 _SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
+# of the first strength of the jerk, at least: a product that has become 0 stays 0
+_LEAST = 1e-6
 _BY_TRACK = ("number", "state", "covariance", "light", "sightings", "missed")
 ANY_SPEED = 1e6  # mm/s
 # first guesses of acceleration over velocity times velocity gradient, and of its change over itself
@@ -46,7 +48,7 @@ class KalmanTracks:
     light : (n, camera) last seen.
     sightings : (n,) how many positions a track has.
     missed : (n,) predictions since the last of them.
-    jerk : power of the jerk, mm2/s5.
+    jerk, least_jerk : power of the jerk, mm2/s5.
     acceleration : variance of a new track's acceleration, mm2/s4.
     """
 
@@ -58,13 +60,14 @@ class KalmanTracks:
     missed: I64
     jerk: float
     acceleration: float
+    least_jerk: float
 
     @staticmethod
     def start(acceleration: float, jerk: float) -> KalmanTracks:
         """Begin without tracks, with first guesses of the strengths."""
         none = np.zeros(0, dtype=np.int64)
         tracks = none, np.zeros((0, 3, 3)), np.zeros((0, 3, 3, 3)), np.zeros((0, 0)), none, none
-        return KalmanTracks(*tracks, jerk, acceleration)
+        return KalmanTracks(*tracks, jerk, acceleration, _LEAST * jerk)
 
     @property
     def variance(self) -> F64:
@@ -120,7 +123,7 @@ class KalmanTracks:
         last = self.missed[rows] == 1
         old, new = self.sightings[rows] >= MATURE, self.sightings[rows] == MATURE - 1
         if (last & old).sum() >= ENOUGH:
-            self.jerk *= _change(off[last & old])
+            self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
         if (last & new).sum() >= ENOUGH:
             self.acceleration *= _change(off[last & new])
         covariance = self.covariance[rows]
