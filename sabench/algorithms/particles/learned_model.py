@@ -1,9 +1,9 @@
 """Noise, light, shapes and shifts of cameras, learned from a search's particles.
 
-Light and shapes come from particles that stand alone in the images.
+All particles count: those that stand alone in the images are too few where images overlap.
 """
 
-import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,12 +27,9 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
 )
 from sabench.algorithms.particles.joint_fit import FARTHEST_PX, OWN_ERROR, learn_covariance
-from sabench.algorithms.particles.model_moves import NEAR
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.geometry.volume_polynomials import project_points
 from sabench.images.gaussian_kernels import fill_derivatives
-from sabench.images.near_images import near_images
-from sabench.utils.arrays import F64, I64
+from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 from sabench.utils.vector_units import Profile
@@ -52,10 +49,6 @@ _LONGEST = 0.25  # of these errors: a step; with whole ones, realistic images ha
 _CLIP = 30.0  # mean squares: largest contribution of a pixel; .005 of F1 of realistic images
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
-# Isolated particles:
-# particles for each unknown of a camera's images, and overlap of isolated ones; 30 in all lose
-# .015 of F1 at 0.18 particles per pixel, and sequences there .03
-_EACH, _HARDLY = 5, 0.1
 _PARTS = 16  # of the particles, summed apart: the number of cores does not matter
 
 
@@ -77,30 +70,28 @@ def weigh_pixels(search: ParticleSearch, cap: float) -> None:
 
 
 def learn_light(search: ParticleSearch) -> None:
-    """Learn typical light and its covariance from the particles that stand alone."""
-    lone = _find_lone(search)
-    if len(lone) < FEW:
+    """Learn typical light and its covariance."""
+    if len(search.position) < FEW:
         return
-    logs = np.log(search.light[lone] / search.typical)
+    logs = np.log(search.light / search.typical)
     search.typical = search.typical * np.exp(np.median(logs, axis=0))
     search.covariance = learn_covariance(logs)
 
 
 def learn_widths(search: ParticleSearch) -> None:
-    """Learn the shapes of images, and how they change, from isolated particles.
+    """Learn the shapes of images, and how they change.
 
     Few particles must be missing, because what they leave makes others wider.
     """
-    lone = _find_lone(search)
-    if len(lone) < FEW:
+    if len(search.position) < FEW:
         return
     model, particles, cameras = search.model(), search.particles(), len(search.images)
     areas = search.sigma.prod(axis=1)
     units = np.column_stack([search.sigma, areas, np.ones(cameras)])[:, :, None]
     errors, unknowns = _SHAPE_ERRORS * units, SHAPES * TERMS
     for _ in range(_STEPS):
-        matrices, right = np.zeros((cameras, unknowns, unknowns)), np.zeros((cameras, unknowns))
-        add_shape_misses(model, search.room, particles, lone, matrices, right)
+        sums = _sum_up(add_shape_misses, model, search.widest, particles, (unknowns, unknowns + 1))
+        matrices, right = sums[:, :, :-1], sums[:, :, -1]
         right -= (errors**-2.0 * (search.shapes - search.first_shapes)).reshape(cameras, -1)
         matrices += (errors**-2.0).reshape(cameras, -1, 1) * np.eye(unknowns)
         _keep_plain(search, matrices, right)
@@ -206,51 +197,6 @@ def fill_variance(
             variance[i, j] = max(min(even + slope * light, dark + most), dark + least)
 
 
-def _find_lone(search: ParticleSearch) -> I64:
-    """Find particles with complete images that overlap least with others'."""
-    maps, position, light, sigma = search.maps, search.position, search.light, search.sigma
-    if len(position) < FEW:
-        return np.zeros(0, dtype=np.int64)
-    pixels = np.stack([project_points(maps, camera, position) for camera in range(len(sigma))])
-    reach = NEAR * sigma.max(axis=1)
-    border = reach[:, None, None]
-    last = np.array(search.images.shape[:0:-1]) - 1.0
-    inside = ((pixels > border) & (pixels < last - border)).all(axis=(0, 2))
-    starts, near = near_images(pixels, reach)
-    overlap = np.zeros(len(position))
-
-    def add(rows: slice) -> None:
-        _add_overlap(rows.start, pixels, light, sigma, reach, starts, near, overlap[rows])
-
-    share_rows(add, len(position))
-    least = np.sort(np.where(inside, overlap, np.inf))
-    most = max(least[min(_EACH * SHAPES * TERMS, len(least) - 1)], _HARDLY * len(sigma))
-    return np.flatnonzero(inside & (overlap <= most))
-
-
-@numba.njit(cache=True, nogil=True)
-def _add_overlap(
-    first: int,
-    pixels: Any,
-    light: Any,
-    sigma: Any,
-    reach: Any,
-    starts: Any,
-    near: Any,
-    overlap: Any,
-) -> None:
-    """Add up the light of near images over the particles' own, from the first row on."""
-    for k in range(len(overlap)):
-        n = first + k
-        for other in near[starts[n] : starts[n + 1]]:
-            for c in range(len(sigma)):
-                x = pixels[c, n, 0] - pixels[c, other, 0]
-                y = pixels[c, n, 1] - pixels[c, other, 1]
-                if x * x + y * y <= reach[c] ** 2:
-                    apart = 0.25 * ((x / sigma[c, 0]) ** 2 + (y / sigma[c, 1]) ** 2)
-                    overlap[k] += math.exp(-apart) * light[other, c] / light[n, c]
-
-
 @numba.njit(cache=True, nogil=True)
 def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
     """Add up (camera, 5) the equations of a shift of each camera's images.
@@ -267,23 +213,17 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
                 equations[c, k] += light * room.sums[c, Sum.XX + k]
 
 
-@numba.njit(cache=True)
-def add_shape_misses(
-    model: Any, room: Any, particles: Any, rows: Any, matrices: Any, right: Any
-) -> None:
-    """Add some particles' equations for images' shapes, with light as it fits best.
+@numba.njit(cache=True, nogil=True)
+def add_shape_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
+    """Add particles' equations for images' shapes, with light as it fits best.
 
-    The unknowns of a camera are those of `ImageModel.shapes`.
-
-    Parameters
-    ----------
-    rows : (k,) particles.
-    matrices, right : (camera, n, n) and (camera, n) normal equations, of n = SHAPES TERMS.
+    The unknowns of a camera are those of `ImageModel.shapes`: n = SHAPES TERMS. The equations
+    (camera, n, n + 1) are normal ones, with their right sides in the last column.
     """
     (dot, slopes), both, terms = np.zeros((2, SHAPES)), np.zeros((SHAPES, SHAPES)), np.ones(TERMS)
     image = np.zeros((room.window, room.window), dtype=np.float32)
     changes = np.zeros((SHAPES, room.window, room.window), dtype=np.float32)
-    for n in rows:
+    for n in range(len(particles.position)):
         copy_row(particles.position[n], terms[1:4])
         terms[4] = terms[3] * terms[3]
         place_windows(model, room, particles.position[n])
@@ -307,10 +247,10 @@ def add_shape_misses(
                 continue
             for k in range(SHAPES * TERMS):
                 a, p = k // TERMS, k % TERMS
-                right[c, k] += light * terms[p] * (slopes[a] - dot[a] * pull / whole)
+                equations[c, k, -1] += light * terms[p] * (slopes[a] - dot[a] * pull / whole)
                 for m in range(SHAPES * TERMS):
                     b, q = m // TERMS, m % TERMS
-                    matrices[c, k, m] += (
+                    equations[c, k, m] += (
                         light * light * terms[p] * terms[q] * (both[a, b] - dot[a] * dot[b] / whole)
                     )
 
@@ -343,10 +283,21 @@ def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
 
 def camera_misses(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Sum up `add_camera_misses` (camera, 5) over particles."""
+    return _sum_up(add_camera_misses, model, sigma, particles, (5,))
 
-    def add(rows: slice) -> F64:
-        sums = np.zeros((len(sigma), 5))
-        add_camera_misses(model, make_room(sigma), some_rows(particles, rows), sums)
+
+def _sum_up(
+    add: Callable[..., None],
+    model: ImageModel,
+    sigma: F64,
+    particles: ModelParticles,
+    shape: tuple[int, ...],
+) -> F64:
+    """Sum up (camera, ...) what `add` adds for particles."""
+
+    def add_rows(rows: slice) -> F64:
+        sums = np.zeros((len(sigma), *shape))
+        add(model, make_room(sigma), some_rows(particles, rows), sums)
         return sums
 
-    return np.asarray(np.sum(share_rows(add, len(particles.position), _PARTS), axis=0))
+    return np.asarray(np.sum(share_rows(add_rows, len(particles.position), _PARTS), axis=0))
