@@ -26,7 +26,7 @@ def fill_profile(
     fill_edges_and_slopes(shares, slopes, (first - 0.5 - center) * step, step, pixels)
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def fill_bend(center: float, sigma: float, first: int, bend: Any) -> None:
     """Fill in the second derivatives (n,) of the shares by the centre."""
     scale = -1.0 / (math.sqrt(2.0 * math.pi) * sigma**2)

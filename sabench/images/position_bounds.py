@@ -241,7 +241,7 @@ def _fill_information(
         _reduce(own[i], shared, partners, known, inverse, links, places, ends, both, out[k])
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: no cover
     """List pairs among partners: where each one's start, places, and others."""
     most = 0
@@ -338,7 +338,7 @@ def _times_blocks(blocks: Any, rows: Any, vectors: Any, out: Any) -> None:  # pr
         add_product(out, n, blocks, rows[n], vectors, n)
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _add_links(
     links: Any, places: Any, ends: Any, both: Any, vectors: Any, out: Any
 ) -> None:  # pragma: no cover

@@ -132,7 +132,7 @@ def find_candidates(maps: VolumePolynomials, logs: F32, floor: float, spread: fl
     return np.asarray(2.0 * places / (np.array(means.shape[::-1]) - 1.0) - 1.0)
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _look_up(image: Any, column: float, row: float) -> Any:
     """Interpolate an image linearly; NaN outside."""
     rows, columns = image.shape
@@ -206,7 +206,7 @@ def _sweep(
                     means[z, y, x] = _mean_log(logs, pixels, x, floor, spread, most)
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any) -> Any:
     """Average the cameras' logarithms at a point."""
     total, count, cameras, darkest = 0.0, 0, len(logs), np.inf
@@ -241,7 +241,7 @@ def _mark_maxima(means: Any, places: Any) -> int:
     return count
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _is_maximum(means: Any, z: int, y: int, x: int) -> bool:
     """Return whether no neighbour is brighter, and no earlier one as bright."""
     slices, rows, columns = means.shape

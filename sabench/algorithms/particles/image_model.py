@@ -339,7 +339,7 @@ def look(model: Any, room: Any, position: Any, light: Any) -> None:
     match_here(model, room, light)
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def match_here(model: Any, room: Any, light: Any) -> None:
     """Sum up as `look` does, where `place_windows` was last."""
     room.given[0] = 0.0

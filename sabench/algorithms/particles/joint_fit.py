@@ -77,7 +77,7 @@ def light_cost(signal: Any, weight: Any, typical: Any, precision: Any, logs: Any
     return cost
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def find_light(
     signal: Any, weight: Any, typical: Any, precision: Any, logs: Any, slope: Any, bend: Any
 ) -> float:
@@ -123,7 +123,7 @@ def factorise_cholesky(matrix: Any) -> None:
                 matrix[i, j] = value / matrix[j, j]
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def log_determinant(factor: Any) -> float:
     """Compute the logarithm of the determinant of a factorised matrix."""
     total = 0.0
@@ -132,7 +132,7 @@ def log_determinant(factor: Any) -> float:
     return 2.0 * total
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _substitute(factor: Any, right: Any) -> None:
     count = len(right)
     for i in range(count):

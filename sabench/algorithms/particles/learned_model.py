@@ -142,7 +142,7 @@ def align_cameras(search: ParticleSearch) -> None:
         search.refine(1)
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _fit_line(total: float, x: float, y: float, xx: float, xy: float) -> tuple[float, float]:
     """Fit a line to sums of weights, x, y, x^2, x y; returns value at 0 and slope."""
     if not total > 0.0:
@@ -152,13 +152,13 @@ def _fit_line(total: float, x: float, y: float, xx: float, xy: float) -> tuple[f
     return (y - slope * x) / total, slope
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _miss(left: float, saturated: bool) -> float:
     """Return what is left of a pixel; 0 where a saturated one has enough."""
     return 0.0 if saturated and left < 0.0 else left
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _modelled(image: float, left: float) -> float:
     """Return the particles' light in a pixel, at most what the image shows."""
     return min(max(image - left, 0.0), max(image, 0.0))
@@ -255,7 +255,7 @@ def add_shape_misses(model: Any, room: Any, particles: Any, equations: Any) -> N
                     )
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
     """Fill in (shape, row, column) an image's derivatives by its shape.
 

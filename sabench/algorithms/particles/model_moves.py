@@ -143,7 +143,7 @@ def _put_back(
             put_in(model, room, positions[k], lights[k])
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _largest_share(room: Any, light: Any) -> float:
     """Compute the share of a particle's gains, after `look`, in its best camera."""
     most, total = 0.0, 1e-300
@@ -185,7 +185,7 @@ def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains
             gains[n] = max(gains[n], gain)
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _match_bends(
     model: Any, room: Any, c: int, bent: Any, image: Any, pull: Any, square: Any
 ) -> None:
@@ -221,7 +221,7 @@ def _match_bends(
             square[m, k] = square[k, m]
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _promise(room: Any, light: Any, step: Any, pull: Any, square: Any) -> float:
     """Compute the decrease of the cost by halves a step (3,) apart, to second order."""
     slope, bend, terms = 0.0, 0.0, np.zeros(3)
@@ -286,7 +286,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
                 put_in(model, room, middle, light)
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _are_apart(model: Any, room: Any, places: Any) -> bool:
     """Return whether some camera sees two positions apart.
 
@@ -302,7 +302,7 @@ def _are_apart(model: Any, room: Any, places: Any) -> bool:
     return False
 
 
-@numba.njit(cache=True)
+@numba.njit(inline="always")
 def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: Any) -> float:
     """Replace a particle by two of half its light, and fit both.
 
