@@ -55,16 +55,28 @@ _PARTS = 16  # of the particles, summed apart: the number of cores does not matt
 def weigh_pixels(search: ParticleSearch, cap: float) -> None:
     """Estimate the variance of every pixel from what is left.
 
-    It is the noise of dark pixels and a share of the model's light. The part above the dark noise
-    is at most `cap` of a typical peak squared, but not less than what particles leave that are a
-    little wider or narrower than others, or not found yet.
+    It is a line over the model's light, fitted to the squares of what is left. The part above the
+    variance of dark pixels is at most `cap` of a typical peak squared, but not less than what
+    particles leave that are a little wider or narrower than others, or not found yet.
     """
     peaks = search.peaks()
 
     def weigh(camera: int) -> None:
-        images = search.images, search.left, search.known, search.saturated
+        image, left, known = search.images[camera], search.left[camera], search.known[camera]
+        light = np.clip(image - left, 0.0, np.maximum(image, 0.0))
+        # a saturated pixel has enough light
+        squares = np.square(np.maximum(left, np.where(search.saturated[camera], 0.0, -np.inf)))
         dark, most = float(search.noise[camera]) ** 2, (cap * float(peaks[camera])) ** 2
-        fill_variance(*(each[camera] for each in images), dark, most, search.variance[camera])
+        shown, off = light[known].astype(np.float64), squares[known].astype(np.float64)
+        even, slope = 0.0, 0.0
+        if np.ptp(shown) > 0.0:
+            off = np.minimum(off, _CLIP * off.mean())
+            bend = np.cov(shown, off)
+            slope = bend[0, 1] / bend[0, 0]
+            even = off.mean() - slope * shown.mean()
+        usual = max(even, dark) + max(slope, 0.0) * light
+        least = np.square(OWN_ERROR * light) + _UNKNOWN**2 * squares
+        search.variance[camera] = np.maximum(np.minimum(usual, dark + most), dark + least)
 
     for_each(weigh, len(peaks))
 
@@ -140,61 +152,6 @@ def align_cameras(search: ParticleSearch) -> None:
         search.maps.coefficients[:, 0] += np.clip(shifts, -FARTHEST_PX, FARTHEST_PX)
         search.subtract_all()
         search.refine(1)
-
-
-@numba.njit(inline="always")
-def _fit_line(total: float, x: float, y: float, xx: float, xy: float) -> tuple[float, float]:
-    """Fit a line to sums of weights, x, y, x^2, x y; returns value at 0 and slope."""
-    if not total > 0.0:
-        return 0.0, 0.0
-    bend = xx - x * x / total
-    slope = (xy - x * y / total) / bend if bend > 1e-12 * xx else 0.0
-    return (y - slope * x) / total, slope
-
-
-@numba.njit(inline="always")
-def _miss(left: float, saturated: bool) -> float:
-    """Return what is left of a pixel; 0 where a saturated one has enough."""
-    return 0.0 if saturated and left < 0.0 else left
-
-
-@numba.njit(inline="always")
-def _modelled(image: float, left: float) -> float:
-    """Return the particles' light in a pixel, at most what the image shows."""
-    return min(max(image - left, 0.0), max(image, 0.0))
-
-
-@numba.njit(cache=True, nogil=True)
-def fill_variance(
-    image: Any, left: Any, valid: Any, saturated: Any, dark: float, most: float, variance: Any
-) -> None:
-    """Fill in the variance of a camera's pixels for the fit of particles.
-
-    It is a line over the model's light, at most `most` above the dark noise, plus shares of the
-    model and of what is left. All arrays are (row, column), `dark` is a variance.
-    """
-    rows, columns = image.shape
-    squares, count = 0.0, 0
-    for i in range(rows):
-        for j in range(columns):
-            if valid[i, j]:
-                squares += _miss(left[i, j], saturated[i, j]) ** 2
-                count += 1
-    clip = _CLIP * squares / max(count, 1)
-    x = y = xx = xy = 0.0
-    for i in range(rows):
-        for j in range(columns):
-            if valid[i, j]:
-                light = _modelled(image[i, j], left[i, j])
-                square = min(_miss(left[i, j], saturated[i, j]) ** 2, clip)
-                x, y, xx, xy = x + light, y + square, xx + light * light, xy + light * square
-    even, slope = _fit_line(float(count), x, y, xx, xy)
-    even, slope = max(even, dark), max(slope, 0.0)
-    for i in range(rows):
-        for j in range(columns):
-            light, miss = _modelled(image[i, j], left[i, j]), _miss(left[i, j], saturated[i, j])
-            least = (OWN_ERROR * light) ** 2 + (_UNKNOWN * miss) ** 2
-            variance[i, j] = max(min(even + slope * light, dark + most), dark + least)
 
 
 @numba.njit(cache=True, nogil=True)
