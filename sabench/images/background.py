@@ -14,10 +14,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from sabench.images.dark_noise import LOW
 from sabench.images.flaws import Flaws
 from sabench.images.peaks import CLEAR
 from sabench.images.repair import GLARE
-from sabench.images.widths import LEAST_NOISE, SPOT_PX, measure_images
+from sabench.images.widths import LEAST_NOISE, LOCAL_PX, SPOT_PX, measure_images
 from sabench.utils.arrays import F32, FROM_MAD, Bool
 
 _SMOOTH = 1.0  # px: of noise, before the opening
@@ -26,11 +27,9 @@ _SMOOTH = 1.0  # px: of noise, before the opening
 _WIDTH, _WIDTHS = 7.0, (11, 15, 21, 31, 43, 61, 87, 123, 175, 247)
 _BELOW, _SLOPE = 0.32, 0.29  # noise of 1 above its opening of 9 px, and more by the width's log
 _DARK = 1.5  # standard deviations above the background: dark pixels
-_AROUND = 61, 61  # px: square in which dark pixels are counted
 # standard deviations: less background is noise, or, where no pixel is dark, particles' tails
 _SHOWN, _TAILS = 1.0, 3.0
 _STEEP = 6.0  # standard deviations within 3 x 3 pixels
-_DARKEST = 0.05  # of the pixels: they show noise even between dense particles
 
 
 class ClearImages(NamedTuple):
@@ -80,14 +79,14 @@ def estimate_background(image: F32, valid: Bool) -> tuple[F32, float]:
     smooth = np.where(known > 0.1, smooth / np.maximum(known, 0.1), np.float32(np.inf))
     noise = _dark_noise(image, valid, smooth)
     out, sparse = np.zeros_like(image), np.zeros_like(image)
-    known, todo = valid.astype(np.float32), valid.copy()
+    known, todo, around = valid.astype(np.float32), valid.copy(), (LOCAL_PX, LOCAL_PX)
     for width in _WIDTHS:
         if width > min(image.shape) or not todo.any():
             break  # so few pixels are dark that no background shows there
         background = _open(smooth, width) + np.float32(noise * lift(width))
         dark = valid & (smooth < background + _DARK * noise)
-        number, of = (cv2.boxFilter(np.float32(each), -1, _AROUND) for each in (dark, known))
-        share = cv2.erode(number / np.maximum(of, 1e-6), np.ones(_AROUND, np.uint8))
+        number, of = (cv2.boxFilter(np.float32(each), -1, around) for each in (dark, known))
+        share = cv2.erode(number / np.maximum(of, 1e-6), np.ones(around, np.uint8))
         now = todo & (width * share >= _WIDTH)
         out[now], sparse[now] = background[now], share[now]
         todo &= ~now
@@ -114,7 +113,7 @@ def lift(width: int) -> float:
 def _dark_noise(image: F32, valid: Bool, smooth: F32) -> float:
     """Measure the noise of the darkest pixels by their distances to medians of 3 x 3."""
     away = np.abs(image - cv2.medianBlur(image, 3))
-    darker = valid & (smooth <= np.quantile(smooth[valid], _DARKEST))
+    darker = valid & (smooth <= np.quantile(smooth[valid], LOW))
     return max(math.sqrt(0.5 * math.pi) * float(away[darker].mean()), LEAST_NOISE)
 
 

@@ -37,8 +37,8 @@ from sabench.utils.errors import InputError
 FALSE_ALARMS = 1e-5  # per pixel
 
 _TILE_PX = 32  # edge of tiles: many pixels, without much change of the level
-_FEW = 64  # too few pixels
-_LOW = 0.05  # of the pixels, the darkest ones, do not count; if more are black, black cuts noise
+FEWEST = 10  # pixels, or peaks, that show a property of an image
+LOW = 0.05  # of the pixels, the darkest ones, do not count; if more are black, black cuts noise
 _HIGH_Z, _SPAN_Z = 0.25, 1.0  # largest normal deviate of pixels that count, and least range of it
 _SHARES = 0.3, 0.1, 0.03, 0.01  # of the pixels, those with the darkest surroundings
 _AROUND_PX = 5  # edge of a pixel's surroundings
@@ -109,7 +109,7 @@ def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
     grey, size = images.astype(np.float32), (_AROUND_PX, _AROUND_PX)
     around = np.stack([cv2.boxFilter(frame, -1, size, normalize=False) - frame for frame in grey])
     known = counts.sum()
-    shares = [share for share in _SHARES if share * known >= _FEW] or _SHARES[:1]
+    shares = [share for share in _SHARES if share * known >= FEWEST] or _SHARES[:1]
     calm = [_measure_calm(images, counts, around, step, share) for share in shares]
     if calm[0].reach <= _LIGHT * min(noise.reach for noise in calm):
         return _leave_out_bright(images, counts, step, calm[0])
@@ -126,7 +126,7 @@ def noise_cut_by_black(grey: U16, valid: Bool, black_dn: float) -> float:
     It is 0 if the noise shows below black.
     """
     least = grey[valid].min() if valid.any() else 0
-    if least < black_dn or np.mean(grey[valid] == least) <= _LOW:
+    if least < black_dn or np.mean(grey[valid] == least) <= LOW:
         return 0.0
     return float(np.median(measure_dark_noise(grey[None], valid).noise))
 
@@ -148,7 +148,7 @@ def _leave_out_bright(images: U16, counts: Bool, step: float, noise: DarkNoise) 
     while True:
         bright = (images >= noise.threshold()).astype(np.uint8)
         dark = counts & ~np.stack([cv2.dilate(frame, halo) > 0 for frame in bright])
-        if dark.mean() < _LOW:
+        if dark.mean() < LOW:
             return noise
         now = _measure(images, dark, step, _TILE_PX, noise)
         if now.reach >= most * noise.reach:
@@ -210,7 +210,7 @@ def _by_tile(
     mean, deviation = np.full((2, *np.add(max(tiles), 1)), np.nan)
     for number, where in tiles.items():
         sample = rest[:, *where][counts[:, *where]]
-        if len(sample) >= _FEW:
+        if len(sample) >= FEWEST:
             black = -int(whole[where].min())
             mean[number], deviation[number] = _fit_quantiles(sample, black, skewness)
     if np.isnan(mean).all():
@@ -259,7 +259,7 @@ def _fit_quantiles(values: I64, black: int, skewness: float) -> tuple[float, flo
     if len(z) == 1:  # the more frequent value is the mean
         middle = least + levels[0 if share[0] > 0.5 else 1]
         return float(middle), abs(float((border[0] - middle) / (z[0] or 1.0)))
-    first = max(int(np.searchsorted(share, _LOW)), int(np.searchsorted(border, black)))
+    first = max(int(np.searchsorted(share, LOW)), int(np.searchsorted(border, black)))
     first = min(first, len(share) - 2)
     last = int(np.searchsorted(z, max(_HIGH_Z, z[first] + _SPAN_Z), side="right"))
     used = np.s_[first : max(last, first + 2)]
@@ -290,7 +290,7 @@ def _skewness(images: U16, counts: Bool, level: F32, noise: F32, step: float) ->
     from scipy.special import ndtr
 
     dark = images[counts]
-    if len(dark) < _FEW or np.mean(dark == dark.min()) > _LOW or noise.min() < step:
+    if len(dark) < FEWEST or np.mean(dark == dark.min()) > LOW or noise.min() < step:
         return 0.0
     spread = dark + step * (np.random.default_rng(0).random(len(dark)) - 0.5)
     of = np.nonzero(counts)[1:]

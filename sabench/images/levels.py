@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sabench.images.dark_noise import FEWEST
 from sabench.utils.arrays import F32, I64, U16, Bool
 
 # Black and white:
@@ -17,7 +18,6 @@ _DARKEST = 1e-4  # of the pixels of a backlit image
 _TAIL = 0.02  # of the pixels: darker than nearly all
 _NEAR = 0.02  # of the highest grey value: saturated pixels are that near to it
 _CLIPPED = 5.0  # times as many pixels near the highest value as just below: saturation
-_FEWEST = 20  # pixels that saturate
 
 # Bright particles:
 PERCENTILE = 95.0  # of the illuminated pixels: becomes 1
@@ -94,7 +94,7 @@ class GreyValues:
         near = max(1, round(_NEAR * highest))
         first = highest - near + 1
         top, below = self.counts[first : highest + 1], self.counts[max(first - near, 0) : first]
-        clipped = top.sum() >= max(_FEWEST, _CLIPPED * below.sum()) and 2 * highest > largest
+        clipped = top.sum() >= max(FEWEST, _CLIPPED * below.sum()) and 2 * highest > largest
         middle = np.searchsorted(np.cumsum(top), 0.5 * top.sum())
         return float(first + middle if clipped else largest)
 

@@ -12,7 +12,6 @@ from sabench.images.peaks import CLEAR, maxima
 from sabench.images.widths import LEAST_NOISE, SPOT_PX
 from sabench.utils.arrays import F32, FROM_MAD, I64, U16, Bool
 
-_WINDOW = 9  # px: edge of the square whose darkest part is the background
 _NARROW = (
     0.25  # of the typical peak's sharpness: neighbours of hot pixels, and dead ones, are darker
 )
@@ -53,7 +52,7 @@ def above_background(grey: U16) -> tuple[F32, float]:
     import cv2  # takes long to load
 
     smooth = cv2.medianBlur(grey, 3)
-    low = cv2.erode(smooth, np.ones((_WINDOW, _WINDOW), dtype=np.uint8))
+    low = cv2.erode(smooth, np.ones((SPOT_PX + 2,) * 2, dtype=np.uint8))
     away = cv2.absdiff(grey, smooth)[smooth <= np.median(smooth)]
     up_to = np.cumsum(np.bincount(away))
     middle = np.interp(0.5 * up_to[-1], [0, *up_to], [0.0, *(np.arange(len(up_to)) + 0.5)])

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sabench.images.dark_noise import FEWEST
 from sabench.images.peaks import CLEAR
 from sabench.utils.arrays import F32, F64, Bool
 
@@ -22,9 +23,8 @@ from sabench.utils.arrays import F32, F64, Bool
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
 # less is chance; px: least width of images for a tilt, worth .003 and 7 % of RMS of narrow images
 _LEAST_TILT, _LEAST_TILTED = 0.1, 0.45
-_LOCAL = 31  # px: square of the mean that products are less; many particles' images
+LOCAL_PX = 61  # edge of a square with many particles' images
 LEAST_NOISE = 0.5  # grey values: of rounding
-_FEW = 10  # least number of values below black, and of peaks
 SPOT_PX = 7  # edge of a square around a particle's image; that around a glint is twice as wide
 _OUTSHINES = 0.1  # share of an image's squared light
 PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
@@ -106,7 +106,7 @@ def measure_images(images: F64, valid: Bool) -> ImageStatistics:
 def noise_below_black(values: F64 | F32) -> float:
     """Estimate the standard deviation of dark pixels from the values below black."""
     below = values[values < 0.0]
-    return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, LEAST_NOISE)
+    return max(float(np.sqrt(np.mean(below**2))) if len(below) > FEWEST else 0.0, LEAST_NOISE)
 
 
 def _without_brightest(image: F64, valid: Bool) -> Bool:
@@ -120,7 +120,7 @@ def _without_brightest(image: F64, valid: Bool) -> Bool:
     inside = cv2.boxFilter(squares, -1, (2 * SPOT_PX + 1,) * 2, normalize=False)
     rest: Bool = valid & (inside <= _OUTSHINES * squares.sum())
     left = _peaks(np.where(rest, image, 0.0), noise_below_black(image[valid])).sum()
-    return valid if left < _FEW else rest
+    return valid if left < FEWEST else rest
 
 
 def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float, float, bool]:
@@ -137,7 +137,7 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
     # less the mean of the known pixels around: where more particles are in the middle than at the
     # borders, products of pixels far apart, which leave out borders, would be larger than others
     sums, counts = (
-        cv2.boxFilter(of, -1, (_LOCAL, _LOCAL), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        cv2.boxFilter(of, -1, (LOCAL_PX, LOCAL_PX), normalize=False, borderType=cv2.BORDER_CONSTANT)
         for of in (light, count)
     )
     over = np.asarray(light - count * sums / np.maximum(counts, 1.0))
@@ -184,7 +184,7 @@ def _light_of_peaks(light: F64, noise: float) -> float:
     import cv2  # takes long to load
 
     peaks = _peaks(light, noise)
-    if peaks.sum() < _FEW:
+    if peaks.sum() < FEWEST:
         return math.inf
     sums = cv2.boxFilter(light.astype(np.float32), -1, (SPOT_PX, SPOT_PX), normalize=False)
     return max(float(np.median(sums[peaks])), 0.0)

@@ -24,7 +24,6 @@ from sabench.utils.compiled import numba
 _LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step that is the last
 _CLIP = 0.97  # share of the particles that the covariance comes from
 OWN_ERROR = 0.03  # of the model of images, over a particle's light: particles differ
-_SHRINK = 20.0  # particles for each camera: with more, a covariance counts more than its average
 
 # Positions:
 FARTHEST_PX = 0.5  # that a particle, or a camera, moves in one step
@@ -46,8 +45,8 @@ def scatter_between(covariance: F64) -> float:
 def learn_covariance(logarithms: F64) -> F64:
     """Learn the covariance of logarithms (n, camera) about their medians.
 
-    The most unusual particles do not count, and few particles show little more than the average
-    variance and covariance.
+    The most unusual particles do not count. Of as many more particles as there are cameras, all
+    cameras have the average scatter.
     """
     off, cameras = logarithms - np.median(logarithms, axis=0), logarithms.shape[1]
     for _ in range(2):
@@ -55,13 +54,11 @@ def learn_covariance(logarithms: F64) -> F64:
         far = np.einsum("ni,ij,nj->n", off, np.linalg.inv(covariance), off)
         off = off[far <= np.quantile(far, _CLIP)]
     covariance = off.T @ off / len(off)
-    variance = np.trace(covariance) / cameras
-    shared = (covariance.sum() - np.trace(covariance)) / max(cameras * (cameras - 1), 1)
-    average = np.full((cameras, cameras), shared)
-    np.fill_diagonal(average, variance)
-    weight = _SHRINK * cameras / (_SHRINK * cameras + len(off))
-    shrunk = (1.0 - weight) * covariance + weight * average
-    return np.asarray(shrunk + OWN_ERROR**2 * np.eye(cameras))
+    between = scatter_between(covariance)
+    common = math.sqrt(max(np.trace(covariance) / cameras - between**2, 0.0))
+    more = cameras / (cameras + len(off))
+    covariance = (1.0 - more) * covariance + more * even_covariance(cameras, between, common)
+    return np.asarray(covariance + OWN_ERROR**2 * np.eye(cameras))
 
 
 @numba.njit(cache=True)

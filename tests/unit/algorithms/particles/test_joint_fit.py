@@ -198,8 +198,6 @@ def test_covariances_are_learned_in_spite_of_outliers() -> None:
     logs = 0.7 + rng.multivariate_normal(np.zeros(4), true, 2000)
     logs[:40] = rng.uniform(-4.0, 4.0, (40, 4))
     assert_allclose(joint_fit.learn_covariance(logs), true, atol=0.05)
-    few = joint_fit.learn_covariance(logs[40:70])  # few tell little more than the average
-    assert few[0, 2] == pytest.approx(few[0, 1], abs=0.05)
 
 
 def test_scatter_between_cameras_leaves_out_what_they_share() -> None:

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.particles import image_model, model_moves
+from sabench.algorithms.particles.all_particles import some_rows
 from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.learned_model import add_camera_misses, add_shape_misses
 from sabench.geometry.volume_polynomials import project_points
@@ -160,8 +161,9 @@ def test_shapes_that_change_over_the_box_are_learned(maps: Maps, shaped: bool) -
     particles.light[:, 2] *= 0.95  # as if its images were narrower
     image_model.paint_all(model, room, particles, -1.0)
     for _ in range(4):
-        matrices, right = np.zeros((4, 20, 20)), np.zeros((4, 20))
-        add_shape_misses(model, room, particles, np.arange(30), matrices, right)
+        equations = np.zeros((4, 20, 21))
+        add_shape_misses(model, room, some_rows(particles, slice(30)), equations)
+        matrices, right = equations[:, :, :-1], equations[:, :, -1]
         matrices[:3, 15:], matrices[:3, :, 15:], right[:3, 15:] = 0.0, 0.0, 0.0
         matrices[:3, 15:, 15:] = np.eye(5)  # these are known not to be flat
         steps = np.linalg.solve(matrices, right[:, :, None])
@@ -183,9 +185,9 @@ def test_a_far_tail_alone_says_nothing_of_widths(maps: Maps) -> None:
     image_model.without_margins(model.weight[2])[row - 2, column - 2] = 1.0
     for width in np.linspace(0.15, 0.3, 31):
         model.shapes[:, :2, 0] = width
-        matrices, right = np.zeros((4, 20, 20)), np.zeros((4, 20))
-        add_shape_misses(model, room, particles, np.zeros(1, dtype=np.int64), matrices, right)
-        assert np.abs(matrices[2]).max() < 1e-6
+        equations = np.zeros((4, 20, 21))
+        add_shape_misses(model, room, particles, equations)
+        assert np.abs(equations[2, :, :-1]).max() < 1e-6
 
 
 def test_a_shift_of_a_camera_shows_in_its_equations(maps: Maps) -> None:
