@@ -76,11 +76,8 @@ def run_program(
     sabench measures the cost here: wall seconds over the number of frames, or of pairs for
     velocities, and memory.
 
-    Raises
-    ------
-    InputError
-        No such program, a program that fails or breaks a limit, or a result that breaks
-        docs/formats/result.md.
+    Raises InputError for a missing program, a program that fails or breaks a limit, or a result
+    that breaks docs/formats/result.md.
     """
     path, limits = find_program(program), limits or ProgramLimits()
     refuse_existing(out, overwrite=overwrite)

@@ -100,10 +100,8 @@ def quality(
     solve_again : run the solver again without each camera, and with each one scrambled; without
         it, the figures that need that are None.
 
-    Raises
-    ------
-    InputError
-        A result of another data set, or of another task than particles or reconstruction.
+    Raises InputError for a result of another data set, or of another task than particles or
+    reconstruction.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     opened = open_result(result, data)

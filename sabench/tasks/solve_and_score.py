@@ -73,11 +73,8 @@ def solve(
     iterations : store the first frame's estimates on the way, too, of plug-ins that have them.
     overwrite : replace an existing result.
 
-    Raises
-    ------
-    InputError
-        An unknown solver or parameter, a broken data set or one of another task, and anything that
-        the task's `run` refuses.
+    Raises InputError for an unknown solver or parameter, a broken data set or one of another task,
+    and anything that the task's `run` refuses.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if external_programs.is_program(solver):
@@ -212,11 +209,8 @@ def score(
     A flat dict: dataset, task, solver, parameters, the task's scores and costs (`costs_of`); None
     where a score does not apply.
 
-    Raises
-    ------
-    InputError
-        A data set without truth, or a file that is not a result of this data set, or has a wrong
-        shape or values that are not finite.
+    Raises InputError for a data set without truth, or a file that is not a result of this data set,
+    or has a wrong shape or values that are not finite.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     _ = data.manifest  # raises where there is no truth

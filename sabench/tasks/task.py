@@ -251,10 +251,8 @@ class Task(ABC):
         -------
         Seconds of every call, or of every frame.
 
-        Raises
-        ------
-        InputError
-            A solver that declines, raises, or returns something else than the task's estimate.
+        Raises InputError for a solver that declines, raises, or returns something else than the
+        task's estimate.
         """
 
     def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
