@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from sabench.cli import options, tables
+from sabench.cli.options import AsJson, Overwrite, argument, option, say, say_json
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,35 +23,28 @@ _BASE = "standard-particles"  # scene that a design changes
 def plan(
     scene: Annotated[
         str | None,
-        options.argument(
+        argument(
             "SCENE",
             "A scene file, or the name of a bundled scene; with --depth, the scene to change.",
             autocompletion=options.complete_scene,
         ),
     ] = None,
     page: Annotated[
-        Path | None,
-        options.option("FILE", "Write the plan with drawings of the rig as a page.", "--html"),
+        Path | None, option("FILE", "Write the plan with drawings of the rig as a page.", "--html")
     ] = None,
-    bus_mb_s: Annotated[float, options.option("X", "Transfer rate of one bus, MB/s.")] = 80.0,
-    memory_gb: Annotated[
-        float, options.option("X", "Memory for the images of a recording, GB.")
-    ] = 8.0,
-    gap_us: Annotated[
-        float, options.option("X", "Shortest time between two exposures, us.")
-    ] = 250.0,
-    depth: Annotated[float | None, options.option("X", "Wanted depth of the volume, mm.")] = None,
-    density: Annotated[
-        float | None, options.option("X", "Wanted density, particles per mm3.")
-    ] = None,
+    bus_mb_s: Annotated[float, option("X", "Transfer rate of one bus, MB/s.")] = 80.0,
+    memory_gb: Annotated[float, option("X", "Memory for the images of a recording, GB.")] = 8.0,
+    gap_us: Annotated[float, option("X", "Shortest time between two exposures, us.")] = 250.0,
+    depth: Annotated[float | None, option("X", "Wanted depth of the volume, mm.")] = None,
+    density: Annotated[float | None, option("X", "Wanted density, particles per mm3.")] = None,
     resolution: Annotated[
-        float | None, options.option("X", "Wanted width of a pixel in the volume, mm.")
+        float | None, option("X", "Wanted width of a pixel in the volume, mm.")
     ] = None,
     output: Annotated[
-        Path | None, options.option("FILE", "Write the scene that is wanted.", "-o", "--output")
+        Path | None, option("FILE", "Write the scene that is wanted.", "-o", "--output")
     ] = None,
-    as_json: options.AsJson = False,
-    overwrite: options.Overwrite = False,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Plan an experiment: resolution, depth, light, density and data rate of a scene."""
     from sabench.apps.planning.plan import RecordingSystem, plan as make
@@ -68,13 +62,13 @@ def plan(
     if page is not None:
         _write_page(planned, page, overwrite=overwrite)
     if as_json:
-        options.say_json(planned.to_dict())
+        say_json(planned.to_dict())
     else:
         _show(planned)
         if output is not None:
-            options.say(f"{output}: the scene that is wanted")
+            say(f"{output}: the scene that is wanted")
         if page is not None:
-            options.say(f"{page}: the plan with drawings")
+            say(f"{page}: the plan with drawings")
 
 
 def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Scene:
@@ -106,38 +100,32 @@ def _show(planned: Plan) -> None:
         for section in planned.sections
         for number, entry in enumerate(section.quantities)
     ]
-    options.say(planned.scene.title)
+    say(planned.scene.title)
     tables.show_wrapped(("", "figure", "value", "meaning", "equation or source"), rows)
     for advice in planned.advice:
-        options.say(f"warning: {advice.key}: {advice.sentence}")
+        say(f"warning: {advice.key}: {advice.sentence}")
 
 
 def generate(
     scene: options.SceneName,
-    output: Annotated[
-        Path, options.option("FOLDER", "The data set folder to create.", "-o", "--output")
-    ],
-    seed: Annotated[int, options.option("N", "Seed of all random numbers.")] = 0,
-    backend: Annotated[str, options.option("NAME", "Renderer: auto, mitsuba or splat.")] = "auto",
+    output: Annotated[Path, option("FOLDER", "The data set folder to create.", "-o", "--output")],
+    seed: Annotated[int, option("N", "Seed of all random numbers.")] = 0,
+    backend: Annotated[str, option("NAME", "Renderer: auto, mitsuba or splat.")] = "auto",
     frames: Annotated[
-        int | None, options.option("N", "Number of frames, overriding the scene.", min=1)
+        int | None, option("N", "Number of frames, overriding the scene.", min=1)
     ] = None,
     jobs: options.Jobs = 1,
     scheduler: Annotated[
         str | None,
-        options.option(
-            "ADDRESS", "Address of a Dask scheduler, tcp://..., whose workers do the work."
-        ),
+        option("ADDRESS", "Address of a Dask scheduler, tcp://..., whose workers do the work."),
     ] = None,
     samples: Annotated[
         int | None,
-        options.option(
-            "N", "Number of independent samples, in shards, in place of one sequence.", min=1
-        ),
+        option("N", "Number of independent samples, in shards, in place of one sequence.", min=1),
     ] = None,
     split: Annotated[
         str | None,
-        options.option(
+        option(
             "SHARES",
             "Of the samples: shares of training, validation and test, 80/10/10. "
             "[default: all for training]",
@@ -145,7 +133,7 @@ def generate(
     ] = None,
     truth: Annotated[
         str | None,
-        options.option(
+        option(
             "KINDS",
             "Of the samples: truth to keep, some of particles,views,radiance, or none. "
             "[default: particles,views]",
@@ -153,17 +141,15 @@ def generate(
     ] = None,
     compression: Annotated[
         str | None,
-        options.option(
+        option(
             "NAME", "Of the samples: none, or gzip: smaller shards, slower to read. [default: none]"
         ),
     ] = None,
     shard_size: Annotated[
         int | None,
-        options.option(
-            "N", "Of the samples: number in a shard. [default: 64 MB of grey values]", min=1
-        ),
+        option("N", "Of the samples: number in a shard. [default: 64 MB of grey values]", min=1),
     ] = None,
-    overwrite: options.Overwrite = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Generate a data set: images, cameras and truth.
 
@@ -193,7 +179,7 @@ def generate(
         raise InputError(f"--{next(iter(given))}: expected --samples with it, got none")
     data = make(loaded, output, **common)
     size = f"{data.setup.frames} frame(s) of {len(data.setup.cameras)} cameras"
-    options.say(f"{data.root}: {size}, {data.manifest.renderer}, hash {data.content_hash[:12]}")
+    say(f"{data.root}: {size}, {data.manifest.renderer}, hash {data.content_hash[:12]}")
 
 
 def _generate_samples(
@@ -213,7 +199,7 @@ def _generate_samples(
         chosen["size"] = given["shard-size"]
     data = generate_samples(scene, output, samples=samples, **chosen, **common)
     splits = ", ".join(f"{count} {name}" for name, count in data.splits.items())
-    options.say(f"{data.root}: {splits} samples, hash {data.content_hash[:12]}")
+    say(f"{data.root}: {splits} samples, hash {data.content_hash[:12]}")
 
 
 def _shares(text: str) -> list[float]:
@@ -227,7 +213,7 @@ def verify(
     dataset: options.DataSet,
     against: Annotated[
         Path | None,
-        options.option(
+        option(
             "DATASET",
             "Another copy, perhaps of another processor, that must hold the same up to rounding.",
         ),
@@ -243,25 +229,25 @@ def verify(
         faults = faults or faults_of(against)
         faults = faults or disagreements(open_dataset(against), open_dataset(dataset))
     for fault in faults:
-        options.say(fault)
+        say(fault)
     if faults:
         raise typer.Exit(1)
     agrees = f", agrees with {against}" if against is not None else ""
-    options.say(f"{dataset}: intact{agrees}{describe_contents(dataset)}")
+    say(f"{dataset}: intact{agrees}{describe_contents(dataset)}")
 
 
 def pack(
     path: Annotated[
-        Path, options.argument("PATH", "A data set folder, or a result file or a folder of some.")
+        Path, argument("PATH", "A data set folder, or a result file or a folder of some.")
     ],
     output: Annotated[
-        Path, options.option("PATH", "The folder, or .zip archive, to create.", "-o", "--output")
+        Path, option("PATH", "The folder, or .zip archive, to create.", "-o", "--output")
     ],
     blind: Annotated[
         bool, typer.Option("--blind", help="Leave out the truth, the scene and the seed.")
     ] = False,
     card: options.Cards = None,
-    overwrite: options.Overwrite = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Copy a data set, or results with the card of their solver, for others.
 
@@ -281,7 +267,7 @@ def pack(
         else:
             copy(open_dataset(path), output, blind=blind, overwrite=overwrite)
         side = "observation side" if blind else "whole data set"
-        options.say(f"{output}: {side} of {contents.content_hash[:12]}")
+        say(f"{output}: {side} of {contents.content_hash[:12]}")
     elif blind:
         raise InputError(f"{path}: expected a data set to pack with --blind, found none")
     else:
@@ -290,4 +276,4 @@ def pack(
         with submitted_files(path) as files:
             count, carded = pack_results(files, output, (card or []), overwrite=overwrite)
         described = f"the card of {' and '.join(carded)}" if carded else "no solver card"
-        options.say(f"{output}: {count} result(s), {described}")
+        say(f"{output}: {count} result(s), {described}")
