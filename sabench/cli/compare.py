@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from sabench.cli import options, tables
-from sabench.cli.options import AsJson, Overwrite, argument, option, say, say_json
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 from sabench.utils.number_text import significant
 
 if TYPE_CHECKING:
@@ -45,11 +45,8 @@ def reproduce(
     ] = None,
     output: Annotated[
         Path | None,
-        option(
-            "FILE",
-            "Write each name's rows to a JSON file when it is done; other rows stay.",
-            "-o",
-            "--output",
+        output_option(
+            "FILE", "Write each name's rows to a JSON file when it is done; other rows stay."
         ),
     ] = None,
     figures: Annotated[
@@ -292,7 +289,7 @@ def challenge(
     hidden: Annotated[
         Path, option("FILE", "The organiser's secret file, from which the seeds come.")
     ],
-    output: Annotated[Path, option("FOLDER", "Folder of the challenge.", "-o", "--output")],
+    output: Annotated[Path, output_option("FOLDER", "Folder of the challenge.")],
     task: Annotated[
         str | None,
         option(
@@ -336,7 +333,7 @@ def participate(
             autocompletion=options.complete_solver,
         ),
     ],
-    output: Annotated[Path, option("ARCHIVE", "The .zip file to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("ARCHIVE", "The .zip file to create.")],
     card: options.Cards = None,
     parameters: options.ParameterPairs = None,
     time_limit: options.TimeLimit = None,

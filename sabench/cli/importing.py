@@ -18,6 +18,7 @@ from sabench.cli.options import (
     Overwrite,
     argument,
     option,
+    output_option,
     parse_steps,
     say,
     say_json,
@@ -38,9 +39,7 @@ def export(
     result: Annotated[Path | None, argument("RESULT", "A result file; by default none.")] = None,
     output: Annotated[
         Path | None,
-        option(
-            "FOLDER", "The folder to create. [default: the name of the format]", "-o", "--output"
-        ),
+        output_option("FOLDER", "The folder to create. [default: the name of the format]"),
     ] = None,
     to: Annotated[
         str,
@@ -69,7 +68,7 @@ def export(
 def import_result(
     dataset: DataSet,
     found: Annotated[Path, argument("FOUND", "The file or folder that the program wrote.")],
-    output: Annotated[Path, option("RESULT", "The result file to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("RESULT", "The result file to create.")],
     form: Annotated[
         str,
         option("FORMAT", "openptv, myptv, openlpt, lpt-challenge, netcdf, mat or csv.", "--from"),
@@ -280,7 +279,7 @@ _KEYS = {
 @_with_keys
 def import_recording(
     folder: Annotated[Path, argument("FOLDER", "A folder of images.")],
-    output: Annotated[Path, option("FOLDER", "The data set folder to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("FOLDER", "The data set folder to create.")],
     cameras: Annotated[
         Path | None,
         option(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from sabench.cli import options, tables
-from sabench.cli.options import AsJson, Overwrite, argument, option, say, say_json
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,9 +40,7 @@ def plan(
     resolution: Annotated[
         float | None, option("X", "Wanted width of a pixel in the volume, mm.")
     ] = None,
-    output: Annotated[
-        Path | None, option("FILE", "Write the scene that is wanted.", "-o", "--output")
-    ] = None,
+    output: Annotated[Path | None, output_option("FILE", "Write the scene that is wanted.")] = None,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -108,7 +106,7 @@ def _show(planned: Plan) -> None:
 
 def generate(
     scene: options.SceneName,
-    output: Annotated[Path, option("FOLDER", "The data set folder to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("FOLDER", "The data set folder to create.")],
     seed: Annotated[int, option("N", "Seed of all random numbers.")] = 0,
     backend: Annotated[str, option("NAME", "Renderer: auto, mitsuba or splat.")] = "auto",
     frames: Annotated[
@@ -240,9 +238,7 @@ def pack(
     path: Annotated[
         Path, argument("PATH", "A data set folder, or a result file or a folder of some.")
     ],
-    output: Annotated[
-        Path, option("PATH", "The folder, or .zip archive, to create.", "-o", "--output")
-    ],
+    output: Annotated[Path, output_option("PATH", "The folder, or .zip archive, to create.")],
     blind: Annotated[
         bool, typer.Option("--blind", help="Leave out the truth, the scene and the seed.")
     ] = False,

@@ -78,6 +78,11 @@ def argument(metavar: str, text: str, **more: Any) -> Any:
     return typer.Argument(metavar=metavar, help=text, **more)
 
 
+def output_option(metavar: str, text: str) -> Any:
+    """Declare the option -o for the file or folder to create."""
+    return option(metavar, text, "-o", "--output")
+
+
 DataSet = Annotated[Path, argument("DATASET", "A data set folder.")]
 SceneName = Annotated[
     str,

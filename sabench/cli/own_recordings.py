@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from sabench import plugins
 from sabench.cli import options, tables
-from sabench.cli.options import AsJson, Overwrite, argument, option, say, say_json
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 
 if TYPE_CHECKING:
     from sabench.apps.own_calibration.report import CalibrationReport
@@ -26,9 +26,7 @@ def calibrate(
     ],
     output: Annotated[
         Path | None,
-        option(
-            "FOLDER", "The folder to create. [default: result, in that folder]", "-o", "--output"
-        ),
+        output_option("FOLDER", "The folder to create. [default: result, in that folder]"),
     ] = None,
     solver: Annotated[
         str,
@@ -219,9 +217,7 @@ def preprocess(
     false_alarms: Annotated[
         float, option("P", "Probability that noise makes a peak of a pixel.", min=1e-12, max=0.1)
     ] = 1e-5,
-    output: Annotated[
-        Path | None, option("FILE", "The PNG file to create.", "-o", "--output")
-    ] = None,
+    output: Annotated[Path | None, output_option("FILE", "The PNG file to create.")] = None,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
 ) -> None:

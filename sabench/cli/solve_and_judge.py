@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from sabench.cli import options, tables
-from sabench.cli.options import AsJson, Overwrite, argument, option, say, say_json
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 
 if TYPE_CHECKING:
     from sabench.algorithms.refocus import Join
@@ -25,7 +25,7 @@ def solve(
         ),
     ],
     dataset: options.DataSet,
-    output: Annotated[Path, option("FILE", "The result file to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("FILE", "The result file to create.")],
     parameter: options.ParameterPairs = None,
     time_limit: options.TimeLimit = None,
     memory_limit: options.MemoryLimit = None,
@@ -120,7 +120,7 @@ def conform(
 
 def refocus(
     dataset: options.DataSet,
-    output: Annotated[Path, option("FOLDER", "The folder to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("FOLDER", "The folder to create.")],
     surface: Annotated[str, option("NAME", "Surface: plane, cylinder or height_map.")] = "plane",
     parameter: Annotated[
         list[str] | None,
@@ -180,9 +180,7 @@ def quality(
     ] = True,
     output: Annotated[
         Path | None,
-        option(
-            "FOLDER", "Folder to create, with quality.json and residuals.png.", "-o", "--output"
-        ),
+        output_option("FOLDER", "Folder to create, with quality.json and residuals.png."),
     ] = None,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
@@ -236,9 +234,7 @@ def view(
         ),
     ],
     result: Annotated[Path | None, argument("RESULT", "A result file of the data set.")] = None,
-    output: Annotated[Path, option("FILE", "The page to create.", "-o", "--output")] = Path(
-        "view.html"
-    ),
+    output: Annotated[Path, output_option("FILE", "The page to create.")] = Path("view.html"),
     as_json: AsJson = False,
     overwrite: Overwrite = False,
 ) -> None:
