@@ -27,7 +27,6 @@ from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (
     AGREEING,
-    SHARE,
     Captions,
     Figures,
     FrameByFrame,
@@ -35,6 +34,7 @@ from sabench.tasks.task import (
     Score,
     Source,
     check_number,
+    share,
     share_near,
 )
 from sabench.utils import memory
@@ -107,66 +107,46 @@ class BubblesTask(FrameByFrame):
     estimate = Detections
     # fmt: off
     scores = (
-        Score("f1_large", "F1, large", "", "larger", 3,
-              "harmonic mean of precision and recall, bubbles of 0.5 mm radius and more; found: "
-              "closer than half a radius", counted=True, range=SHARE),
-        Score("f1", "F1", "", "larger", 3,
-              "the same, all bubbles", counted=True, range=SHARE),
-        Score("f1_small", "F1, small", "", "larger", 3,
-              "the same, bubbles below 0.5 mm", counted=True, range=SHARE),
-        Score("precision", "precision", "", "larger", 3,
-              "share of the detections that are bubbles, one to one", counted=True, range=SHARE),
-        Score("recall", "recall", "", "larger", 3,
-              "share of the bubbles that were found", counted=True, range=SHARE),
-        Score("recall_hidden", "recall, hidden", "", "larger", 3,
-              "recall of bubbles of which the cameras see less than nine tenths, mean over "
-              "cameras", counted=True, range=SHARE),
-        Score("recall_dense", "recall, dense", "", "larger", 3,
-              "recall of bubbles around which, within 6 mm, others fill a hundredth or "
-              "more", counted=True, range=SHARE),
-        Score("radius_percent", "radius %", "%", "smaller", 2,
+        share("f1_large", 3, "harmonic mean of precision and recall, bubbles of 0.5 mm radius and "
+              "more; found: closer than half a radius", heading="F1, large"),
+        share("f1", 3, "the same, all bubbles", heading="F1"),
+        share("f1_small", 3, "the same, bubbles below 0.5 mm", heading="F1, small"),
+        share("precision", 3, "share of the detections that are bubbles, one to one"),
+        share("recall", 3, "share of the bubbles that were found"),
+        share("recall_hidden", 3, "recall of bubbles of which the cameras see less than nine "
+              "tenths, mean over cameras", heading="recall, hidden"),
+        share("recall_dense", 3, "recall of bubbles around which, within 6 mm, others fill a "
+              "hundredth or more", heading="recall, dense"),
+        Score("radius_percent", "smaller", 2,
               "median error of the radius of found bubbles of 0.5 mm and more"),
-        Score("axes_percent", "axes %", "%", "smaller", 2,
-              "median error of their semi-axes"),
-        Score("tilt_deg", "tilt deg", "deg", "smaller", 1,
+        Score("axes_percent", "smaller", 2, "median error of their semi-axes"),
+        Score("tilt_deg", "smaller", 1,
               "median error of the short axis's direction, of found bubbles flatter than 0.9"),
-        Score("plane_mm", "plane mm", "mm", "smaller", 3,
+        Score("plane_mm", "smaller", 3,
               "median error across Z of found bubbles of 0.5 mm and more"),
-        Score("depth_mm", "depth mm", "mm", "smaller", 3,
-              "median error along Z"),
-        Score("sizes_percent", "sizes %", "%", "smaller", 1,
+        Score("depth_mm", "smaller", 3, "median error along Z"),
+        Score("sizes_percent", "smaller", 1,
               "distance of the distributions of radii (Wasserstein) over the mean radius"),
-        Score("sizes_mm", "sizes mm", "mm", "smaller", 3,
-              "the same in mm: mean difference of radii of equal rank"),
-        Score("mean_percent", "mean radius %", "%", "smaller", 1,
-              "error of the mean radius of all bubbles, regardless of sign"),
-        Score("sauter_percent", "d32 %", "%", "smaller", 1,
-              "the same of the Sauter mean diameter, sum of d^3 over sum of d^2"),
-        Score("void_percent", "void %", "%", "smaller", 1,
-              "error of the volume of all bubbles"),
-        Score("penetration_percent", "Y_p %", "%", "smaller", 1,
-              "error of a jet's penetration depth, against the same analysis of the true "
-              "bubbles"),
-        Score("angle_percent", "angle %", "%", "smaller", 1,
-              "error of its spreading angle"),
-        Score("weight_percent", "A %", "%", "smaller", 1,
-              "error of A of equation 5.18"),
-        Score("width_percent", "s %", "%", "smaller", 1,
-              "error of s of equation 5.18"),
-        Score("link_recall", "link recall", "", "larger", 3,
-              "share of the bubbles found in two consecutive frames that one trajectory "
-              "joins", counted=True, range=SHARE),
-        Score("link_precision", "link precision", "", "larger", 3,
-              "share of the links between such frames that join the same bubble", counted=True,
-              range=SHARE),
-        Score("effectiveness", "effectiveness", "", "larger", 3,
-              "share of a bubble's frames in which its longest trajectory has it, mean over the "
-              "bubbles", counted=True, range=SHARE),
-        Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 2,
-              "median error of the velocity of correct links, against the true mean velocity "
-              "between the frames"),
-        Score("velocity_percent", "velocity %", "%", "smaller", 2,
-              "the same over that velocity"),
+        Score("sizes_mm", "smaller", 3, "the same in mm: mean difference of radii of equal rank"),
+        Score("mean_percent", "smaller", 1, "error of the mean radius of all bubbles, regardless "
+              "of sign", heading="mean radius %"),
+        Score("sauter_percent", "smaller", 1,
+              "the same of the Sauter mean diameter, sum of d^3 over sum of d^2", heading="d32 %"),
+        Score("void_percent", "smaller", 1, "error of the volume of all bubbles"),
+        Score("penetration_percent", "smaller", 1, "error of a jet's penetration depth, against "
+              "the same analysis of the true bubbles", heading="Y_p %"),
+        Score("angle_percent", "smaller", 1, "error of its spreading angle"),
+        Score("weight_percent", "smaller", 1, "error of A of equation 5.18", heading="A %"),
+        Score("width_percent", "smaller", 1, "error of s of equation 5.18", heading="s %"),
+        share("link_recall", 3,
+              "share of the bubbles found in two consecutive frames that one trajectory joins"),
+        share("link_precision", 3,
+              "share of the links between such frames that join the same bubble"),
+        share("effectiveness", 3, "share of a bubble's frames in which its longest trajectory has "
+              "it, mean over the bubbles"),
+        Score("velocity_mm_s", "smaller", 2, "median error of the velocity of correct links, "
+              "against the true mean velocity between the frames"),
+        Score("velocity_percent", "smaller", 2, "the same over that velocity"),
     )
     # fmt: on
     sufficient = 0.8

@@ -26,7 +26,6 @@ from sabench.tasks.solver_call import (
 from sabench.tasks.task import (
     ALIKE,
     PERCENT,
-    SHARE,
     Captions,
     Figures,
     FrameByFrame,
@@ -37,6 +36,7 @@ from sabench.tasks.task import (
     check_estimate,
     check_number,
     correlation,
+    share,
 )
 from sabench.utils import memory
 from sabench.utils.errors import InputError
@@ -59,41 +59,29 @@ class ReconstructionTask(FrameByFrame):
     estimate = Reconstruction
     # fmt: off
     scores = (
-        Score("q", "Q", "", "larger", 3,
-              "quality factor, the correlation of the reconstructed with the true intensity: "
-              "1 is perfect", range=(-1.0, 1.0)),
-        Score("peak_f1", "peak F1", "", "larger", 3,
-              "harmonic mean of peak precision and peak recall: it does not depend on the blobs' "
-              "shape", counted=True, range=SHARE),
-        Score("intensity_error", "intensity error", "", "smaller", 3,
-              "relative root mean square error of the blobs' intensities over the true particles; "
-              "lost ones are dark"),
-        Score("true_percent", "true %", "%", "larger", 1,
-              "share of the true particles that were found within 1.5 voxels", counted=True,
-              range=PERCENT),
-        Score("ghost_percent", "ghost %", "%", "smaller", 1,
+        Score("q", "larger", 3, "quality factor, the correlation of the reconstructed with the "
+              "true intensity: 1 is perfect", heading="Q", range=(-1.0, 1.0)),
+        share("peak_f1", 3, "harmonic mean of peak precision and peak recall: it does not depend "
+              "on the blobs' shape", heading="peak F1"),
+        Score("intensity_error", "smaller", 3, "relative root mean square error of the blobs' "
+              "intensities over the true particles; lost ones are dark"),
+        Score("true_percent", "larger", 1, "share of the true particles that were found within 1.5 "
+              "voxels", counted=True, range=PERCENT),
+        Score("ghost_percent", "smaller", 1,
               "false detections, relative to the true ones", counted=True),
-        Score("precision", "precision", "", "larger", 3,
-              "share of the detections that are true, closer than 1 voxel along every axis, "
-              "one to one", counted=True, range=SHARE),
-        Score("recall", "recall", "", "larger", 3,
-              "share of the true particles that were found, by the same rule", counted=True,
-              range=SHARE),
-        Score("rms_px", "rms px", "voxel", "smaller", 3,
-              "root mean square distance between the pairs of that rule"),
-        Score("peak_true_percent", "peak true %", "%", "larger", 1,
-              "true %, with particles found as local maxima: touching ones count as "
-              "two", counted=True, range=PERCENT),
-        Score("peak_ghost_percent", "peak ghost %", "%", "smaller", 1,
+        share("precision", 3, "share of the detections that are true, closer than 1 voxel along "
+              "every axis, one to one"),
+        share("recall", 3, "share of the true particles that were found, by the same rule"),
+        Score("rms_px", "smaller", 3,
+              "root mean square distance between the pairs of that rule", unit="voxel"),
+        Score("peak_true_percent", "larger", 1, "true %, with particles found as local maxima: "
+              "touching ones count as two", counted=True, range=PERCENT),
+        Score("peak_ghost_percent", "smaller", 1,
               "ghost %, with particles found as local maxima", counted=True),
-        Score("peak_precision", "peak precision", "", "larger", 4,
-              "precision, with particles found as local maxima", counted=True, hidden=True,
-              range=SHARE),
-        Score("peak_recall", "peak recall", "", "larger", 4,
-              "recall, with particles found as local maxima", counted=True, hidden=True,
-              range=SHARE),
-        Score("peak_rms_px", "peak rms px", "voxel", "smaller", 4,
-              "rms px, with particles found as local maxima", hidden=True),
+        share("peak_precision", 4, "precision, with particles found as local maxima", hidden=True),
+        share("peak_recall", 4, "recall, with particles found as local maxima", hidden=True),
+        Score("peak_rms_px", "smaller", 4,
+              "rms px, with particles found as local maxima", unit="voxel", hidden=True),
     )
     # fmt: on
     tolerance = _TOLERANCE

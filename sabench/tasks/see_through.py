@@ -44,19 +44,17 @@ class SeeThroughTask(FrameByFrame):
     estimate = Reconstruction
     # fmt: off
     scores = (
-        Score("read_percent", "read %", "%", "larger", 1,
-              "share of correctly read cells of a code behind bubbles, in its plane; guessing "
-              "gives 50", counted=True, range=PERCENT),
-        Score("separation", "d'", "", "larger", 2,
-              "difference of the mean bright and dark cells over their scatter", range=ANY),
-        Score("contrast", "contrast", "", "larger", 3,
-              "difference of these means over their sum", range=ANY),
-        Score("single_percent", "single views, read %", "%", "steady", 1,
-              "read % of single images, mean over the cameras", range=PERCENT),
-        Score("best_single_percent", "best view, read %", "%", "steady", 1,
-              "read % of the best single image", range=PERCENT),
-        Score("single_separation", "single views, d'", "", "steady", 2,
-              "d' of single images, mean over the cameras", range=ANY),
+        Score("read_percent", "larger", 1, "share of correctly read cells of a code behind "
+              "bubbles, in its plane; guessing gives 50", counted=True, range=PERCENT),
+        Score("separation", "larger", 2, "difference of the mean bright and dark cells over their "
+              "scatter", heading="d'", range=ANY),
+        Score("contrast", "larger", 3, "difference of these means over their sum", range=ANY),
+        Score("single_percent", "steady", 1, "read % of single images, mean over the cameras",
+              heading="single views, read %", range=PERCENT),
+        Score("best_single_percent", "steady", 1,
+              "read % of the best single image", heading="best view, read %", range=PERCENT),
+        Score("single_separation", "steady", 2,
+              "d' of single images, mean over the cameras", heading="single views, d'", range=ANY),
     )
     # fmt: on
     sufficient = 90.0

@@ -37,6 +37,13 @@ ANY = (-LARGEST, LARGEST)
 ERROR, SHARE, PERCENT = (0.0, LARGEST), (0.0, 1.0), (0.0, 100.0)
 
 
+# units of scores by the ends of their keys
+_UNITS = {
+    "_percent": "%", "_mm_s": "mm/s", "_1_s": "1/s", "_mm": "mm", "_px": "px", "_deg": "deg",
+    "_voxel": "voxel", "_s": "s",
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Score:
     """One score of a task.
@@ -44,26 +51,39 @@ class Score:
     Attributes
     ----------
     key : its name in records, baselines and JSON.
-    heading : of its column in tables.
-    unit : "" for numbers without a unit.
     better : the direction of improvement: towards larger or smaller absolute values, towards 1, or
         neither ("steady": it describes the data, and any change is worth a look).
     decimals : shown in tables.
     meaning : one phrase.
+    heading, unit : of its column in tables; by default as the key says, "z mean mm" for z_mean_mm.
     counted : whether it is a share of things that are counted, and so changes in steps.
     hidden : whether tables leave it out.
     range : smallest and largest possible value; by default that of an unsigned error.
     """
 
     key: str
-    heading: str
-    unit: str
     better: Better
     decimals: int
     meaning: str
+    heading: str = ""
+    unit: str = ""
     counted: bool = False
     hidden: bool = False
     range: tuple[float, float] = ERROR
+
+    def __post_init__(self) -> None:
+        end = next((end for end in _UNITS if self.key.endswith(end)), "")
+        unit = _UNITS.get(end, "")
+        heading = f"{self.key.removesuffix(end).replace('_', ' ')} {unit}".strip()
+        object.__setattr__(self, "unit", self.unit or unit)
+        object.__setattr__(self, "heading", self.heading or heading)
+
+
+def share(
+    key: str, decimals: int, meaning: str, heading: str = "", *, hidden: bool = False
+) -> Score:
+    """Make the score of a share of things that are counted, the larger, the better."""
+    return Score(key, "larger", decimals, meaning, heading, "", True, hidden, SHARE)
 
 
 @dataclass(frozen=True)
@@ -91,19 +111,11 @@ class Gate:
 
 
 COSTS = (
-    Score("seconds", "seconds", "s", "smaller", 2, "time of the solver alone"),
-    Score("peak_mb", "peak MB", "MB", "smaller", 0, "largest memory of the solver's process"),
-    Score(
-        "compile_s",
-        "compile s",
-        "s",
-        "steady",
-        1,
-        "time in which kernels were compiled or loaded, no part of the seconds",
-        hidden=True,
-        range=ANY,
-    ),
-)
+    Score("seconds", "smaller", 2, "time of the solver alone", unit="s"),
+    Score("peak_mb", "smaller", 0, "largest memory of the solver's process", "peak MB", "MB"),
+    Score("compile_s", "steady", 1, "time in which kernels were compiled or loaded, no part of the "
+          "seconds", hidden=True, range=ANY),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -126,12 +138,12 @@ class MatchingCurve:
     @cached_property
     def scores(self) -> tuple[Score, ...]:
         """The curve's values as scores, which records have and tables do not."""
+        meaning = "a point of the curve over the matching distance"
+        within = {f"{radius:g}": f"within {radius:g} {self.unit}" for radius in self.distances}
         return tuple(
-            Score(f"{self.of}_within_{radius:g}", f"{self.heading} within {radius:g} {self.unit}",
-                  "", "larger", 3, "a point of the curve over the matching distance",
-                  counted=True, hidden=True, range=SHARE)
-            for radius in self.distances
-        )  # fmt: skip
+            share(f"{self.of}_within_{key}", 3, meaning, f"{self.heading} {words}", hidden=True)
+            for key, words in within.items()
+        )
 
     def figures(self, values: F64) -> Figures:
         """Name the values of the curve."""
