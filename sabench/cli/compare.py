@@ -110,9 +110,8 @@ def run(
     """
     from sabench.evaluation.runner import run_suite
     from sabench.evaluation.suites import Only
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     records = run_suite(
         suite,
         work,
@@ -208,9 +207,8 @@ def check(
     The exit code is 1 if a score got worse.
     """
     from sabench.evaluation.gates.comparison import check as compare, write_junit
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     report = compare(
         suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first
     )
@@ -309,9 +307,8 @@ def challenge(
     If interrupted, run the same command again to resume.
     """
     from sabench.apps.challenge.board import BUNDLE, PARTICIPANT, make_challenge
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     chosen = cast("TaskName | None", task)  # `make_challenge` checks the word
     test_set = make_challenge(suite, hidden, output, task=chosen, image=codabench, jobs=jobs)
     count = f"{len(test_set.data_sets)} data set(s) of the task {test_set.task}"
@@ -349,9 +346,8 @@ def participate(
     """
     from sabench.apps.challenge.board import participate as solve_all
     from sabench.utils.processes.program import limits_of
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     count = solve_all(
         path,
         solver,

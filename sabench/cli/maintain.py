@@ -261,9 +261,8 @@ def warmup(
     from dataclasses import asdict
 
     from sabench.tasks.conformance import warm_up
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     warmed = []
     for run in warm_up(solvers or ()):
         warmed.append(run)

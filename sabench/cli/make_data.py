@@ -46,9 +46,8 @@ def plan(
 ) -> None:
     """Plan an experiment: resolution, depth, light, density and data rate of a scene."""
     from sabench.apps.planning.plan import RecordingSystem, plan as make
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     recorder = RecordingSystem(bus_mb_s, memory_gb, gap_us)
     wanted = {"depth": depth, "density": density, "resolution": resolution, "output": output}
     if any(value is not None for value in wanted.values()):
@@ -155,9 +154,8 @@ def generate(
     """
     from sabench.scenes import load_scene
     from sabench.simulation.pipeline import generate as make
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     loaded = load_scene(scene)
     loaded = loaded if frames is None else loaded.with_frames(frames)
     common: dict[str, Any] = {

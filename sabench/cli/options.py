@@ -29,6 +29,13 @@ def say_json(value: Any) -> None:
     say(json.dumps(value, allow_nan=False))
 
 
+def announce_compiling() -> None:
+    """Announce kernels that take long to compile, on standard error."""
+    from sabench.utils.progress import announce_compiling as announce  # it takes long to load
+
+    announce()
+
+
 def parse_parameters(pairs: list[str] | None) -> dict[str, Any]:
     """Read name=value pairs; a value is TOML if it parses as TOML, else a string."""
     values: dict[str, Any] = {}

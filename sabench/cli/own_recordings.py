@@ -52,9 +52,8 @@ def calibrate(
     from dataclasses import asdict
 
     from sabench.apps.own_calibration.calibrate import calibrate as make
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     out = output or folder / "result"
     values = options.parse_parameters(parameter)
     report = make(folder, out, solver, values, unknowns=unknowns, overwrite=overwrite)

@@ -35,9 +35,8 @@ def solve(
     from sabench.dataset.verification import probe_dataset
     from sabench.tasks.solve_and_score import solve as run_solver
     from sabench.utils.processes.program import limits_of
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     probe_dataset(dataset)
     result = run_solver(
         solver,
@@ -72,9 +71,8 @@ def score(
     """Score a result against the truth."""
     from sabench.dataset.verification import probe, probe_dataset
     from sabench.tasks.solve_and_score import score as scores_of
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     probe_dataset(dataset)
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
@@ -104,9 +102,8 @@ def conform(
     from dataclasses import asdict
 
     from sabench.tasks.conformance import check_solver
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     findings = []
     for finding in check_solver(solver, options.parse_parameters(parameter)):
         findings.append(finding)
@@ -188,9 +185,8 @@ def quality(
     """Judge a result by the images that it came from, without truth."""
     from sabench.dataset.verification import probe, probe_dataset
     from sabench.tasks.quality import quality as judge, write_quality
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     probe_dataset(dataset)
     if result.is_file():
         probe(result)
@@ -245,9 +241,8 @@ def view(
     """
     from sabench.apps.viewer.view import view as make
     from sabench.utils.files import refuse_existing
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     refuse_existing(output, overwrite=overwrite)
     page = make(what, result)
     page.save(output, overwrite=overwrite)

@@ -303,7 +303,7 @@ class VelocimetryTask(Task):
             writer.add(field, pair[0])
             memory.trim()
         if volumes:
-            writer.set_reconstruction(float(np.mean(volumes.seconds)))
+            writer.set(reconstruction_s=float(np.mean(volumes.seconds)))
         return seconds
 
     def seen_by(self, plugin: type[AnySolver]) -> str:
