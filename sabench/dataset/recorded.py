@@ -20,7 +20,7 @@ from sabench.dataset.schema import (
     REFERENCES,
     VERSION,
     FileEntry,
-    StoredRecord,
+    VersionedFile,
     read_versioned,
 )
 from sabench.geometry.camera_model import CameraModel
@@ -35,7 +35,7 @@ from sabench.utils.version import __version__
 Grey = TypeVar("Grey", U16, Bool)
 
 
-class ReferencesFile(StoredRecord):
+class ReferencesFile(VersionedFile):
     """images.json: files outside the data set, and the images in them.
 
     Attributes
@@ -47,8 +47,6 @@ class ReferencesFile(StoredRecord):
     images : file and number of the image in it for each frame, by the camera's name.
     """
 
-    format: str
-    version: int
     folder: str
     raw: RawLayout | None
     files: dict[str, FileEntry]

@@ -21,7 +21,6 @@ from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import NEAR, AnyBubbles, detection_scores, match_bubbles
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import trajectory_scores
-from sabench.plotting import pictures
 from sabench.plotting.drawing import Circles, Discs, Figure, Panel
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
@@ -225,11 +224,6 @@ class BubblesTask(FrameByFrame):
         links = trajectory_scores(estimates, numbers, every, times, data.setup.sequences())
         over_time = {key: finite_or_none(value) for key, value in links.items()}
         return mean_of_each(frames) | _jet_scores(data, estimates, every) | over_time
-
-    def images(self, data: Dataset) -> bytes:
-        """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
-        case = data.observation(0)
-        return pictures.backlit(case.images, case.black_dn, case.white_dn)
 
     def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
         """Compare bubbles by the share detected in both."""

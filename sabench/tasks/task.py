@@ -314,8 +314,9 @@ class Task(ABC):
 
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera as a PNG."""
-        case = data.observation(0)
-        return pictures.montage(case.images, case.black_dn, case.white_dn)
+        case, backlit = data.observation(0), self.shown in ("bubbles", "code")
+        draw = pictures.backlit if backlit else pictures.montage
+        return draw(case.images, case.black_dn, case.white_dn)
 
     @abstractmethod
     def picture(self, data: Dataset, source: Source) -> bytes:
