@@ -33,6 +33,7 @@ from sabench.tasks.task import (
     Score,
     Source,
     check_number,
+    check_tracks,
     share,
     share_near,
 )
@@ -173,7 +174,7 @@ class BubblesTask(FrameByFrame):
     def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
         """Write the bubbles of a foreign result anew, linked if it has no trajectories."""
         every = [self.read(data, result, frame) for frame in self.frames(data)]
-        _check_all_or_none(result, every)
+        check_tracks(result, every)
         self._store(data, every, writer)
 
     def _store(self, data: Dataset, every: list[Detections], writer: ResultWriter) -> None:
@@ -218,7 +219,7 @@ class BubblesTask(FrameByFrame):
             estimates.append(estimate)
             every.append(true)
         if isinstance(source, Result):
-            _check_all_or_none(source, estimates)
+            check_tracks(source, estimates)
         numbers = trajectories(data.setup, estimates)
         times = [data.setup.time_s(frame) for frame in self.frames(data)]
         links = trajectory_scores(estimates, numbers, every, times, data.setup.sequences())
@@ -261,16 +262,6 @@ def trajectories(setup: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
         first = max((int(ids.max(initial=-1)) for ids in out), default=-1) + 1
         out.extend(first + ids for ids in part)
     return out
-
-
-def _check_all_or_none(result: Result, estimates: Sequence[Detections]) -> None:
-    """Raise an InputError for a result that has trajectories in some frames only."""
-    missing = [number for number, estimate in enumerate(estimates) if estimate.trajectory is None]
-    if 0 < len(missing) < len(estimates):
-        raise InputError(
-            f"{result.path}: {frame_group(missing[0])}/bubbles/track: "
-            "expected one in every frame or in none, found none here"
-        )
 
 
 def _jet_scores(data: Dataset, every: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:

@@ -32,12 +32,12 @@ from sabench.tasks.task import (
     Source,
     Task,
     check_number,
+    check_tracks,
     share,
     share_near,
 )
 from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
-from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
 _NEAR_VOXELS = 0.2  # distance of a particle found with the cameras in another order
@@ -199,12 +199,7 @@ class ParticlesTask(Task):
             for frame, true in enumerate(truth):
                 where = f"{source.path}: {frame_group(frame)}/particles"
                 check_number(len(estimates[frame].position_mm), len(true.position_mm), where)
-        missing = [number for number, frame in enumerate(estimates) if frame.trajectory is None]
-        if isinstance(source, Result) and 0 < len(missing) < len(estimates):
-            raise InputError(
-                f"{source.path}: {frame_group(missing[0])}/particles/track: "
-                "expected one in every frame or in none, found none here"
-            )
+            check_tracks(source, estimates)
         return particles_over_time.link_frames(data.setup, estimates)
 
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:

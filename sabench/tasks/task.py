@@ -12,9 +12,10 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from sabench.api.estimates import Estimate
+from sabench.api.estimates import Detections, Estimate, FoundParticles
 from sabench.api.observations import Observation, Shown
 from sabench.api.solvers import AnySolver, TaskName
+from sabench.dataset.arrays import group_of
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.plotting import pictures
@@ -390,6 +391,18 @@ def check_number(found: int, true: int, where: str) -> None:
         raise InputError(
             f"{where}: expected at most {most} detections, {_TIMES} for each of those that there "
             f"are and of {_TIMES} more, got {found}"
+        )
+
+
+def check_tracks(
+    result: Result, estimates: Sequence[Detections] | Sequence[FoundParticles]
+) -> None:
+    """Raise an InputError for a result that has trajectories in some frames only."""
+    missing = [number for number, one in enumerate(estimates) if one.trajectory is None]
+    if 0 < len(missing) < len(estimates):
+        group = group_of(type(estimates[0]), missing[0])
+        raise InputError(
+            f"{result.path}: {group}/track: expected one in every frame or in none, found none here"
         )
 
 
