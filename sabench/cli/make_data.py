@@ -57,7 +57,11 @@ def plan(
     else:
         planned = make(scene, recorder)
     if page is not None:
-        _write_page(planned, page, overwrite=overwrite)
+        from sabench.apps.planning.page import render_plan
+        from sabench.utils.files import complete_or_nothing
+
+        with complete_or_nothing(page, overwrite=overwrite) as partial:
+            partial.write_text(render_plan(planned), encoding="utf-8")
     if as_json:
         say_json(planned.to_dict())
     else:
@@ -81,14 +85,6 @@ def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Sc
     with complete_or_nothing(wanted["output"], overwrite=overwrite) as partial:
         partial.write_text(designed.to_toml(), encoding="utf-8")
     return designed
-
-
-def _write_page(planned: Plan, file: Path, *, overwrite: bool) -> None:
-    from sabench.apps.planning.page import render_plan
-    from sabench.utils.files import complete_or_nothing
-
-    with complete_or_nothing(file, overwrite=overwrite) as partial:
-        partial.write_text(render_plan(planned), encoding="utf-8")
 
 
 def _show(planned: Plan) -> None:
@@ -183,17 +179,13 @@ def _generate_samples(
 ) -> None:
     from sabench.simulation.sample_shards import generate_samples
 
-    chosen: dict[str, Any] = {}
-    if "split" in given:
-        chosen["split"] = _shares(given["split"])
-    if "truth" in given:
-        words = [] if given["truth"] == "none" else given["truth"].split(",")
-        chosen["truth"] = [word.strip() for word in words]
-    if "compression" in given:
-        chosen["compression"] = given["compression"]
-    if "shard-size" in given:
-        chosen["size"] = given["shard-size"]
-    data = generate_samples(scene, output, samples=samples, **chosen, **common)
+    keys = {name.replace("shard-", ""): value for name, value in given.items()}
+    if "split" in keys:
+        keys["split"] = _shares(keys["split"])
+    if "truth" in keys:
+        words = [] if keys["truth"] == "none" else keys["truth"].split(",")
+        keys["truth"] = [word.strip() for word in words]
+    data = generate_samples(scene, output, samples=samples, **keys, **common)
     splits = ", ".join(f"{count} {name}" for name, count in data.splits.items())
     say(f"{data.root}: {splits} samples, hash {data.content_hash[:12]}")
 

@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
+import tifffile
 
 from sabench import tasks
 from sabench.api import FoundParticles, Reconstruction
@@ -216,7 +217,8 @@ def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:
     for frame in frames:
         images = to_8_bits(data.observation(frame).normalised_images())
         for number, image in enumerate(images, 1):
-            openptv.write_image(root / "img" / f"cam{number}.{FIRST + frame}", image)
+            path = root / "img" / f"cam{number}.{FIRST + frame}"
+            tifffile.imwrite(path, image, photometric="minisblack")
     settings = openptv.derive_settings(measure_frame(data.observation(0)))
     setup = data.setup
     span = (FIRST, FIRST + setup.frames - 1)

@@ -85,7 +85,7 @@ class SeeThroughTask(VolumeTask):
         """Draw the code's plane in an estimate, or the code itself, as a PNG."""
         code = _code(data, 0)
         if not isinstance(source, Result):
-            return pictures.grey_picture(draw_code(code))
+            return pictures.grey_picture(np.where(code.dark[_nearest(code)], 0.0, 1.0))
         plane = code_plane(data.setup.grid, self.read(data, source, 0).volume, code)
         return pictures.grey_picture(plane)
 
@@ -124,11 +124,6 @@ def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
     )
     middle = int(np.clip(np.rint(voxels[:, 2].mean()), 0, size[2] - 1))
     return np.asarray(volume[middle, low[1] : high[1] + 1, low[0] : high[0] + 1], dtype=np.float64)
-
-
-def draw_code(code: Code) -> F64:
-    """Draw the code as seen along Z: 0 where it is dark, 1 elsewhere."""
-    return np.where(code.dark[_nearest(code)], 0.0, 1.0)
 
 
 def _nearest(code: Code) -> I64:
