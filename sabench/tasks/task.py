@@ -394,9 +394,7 @@ def check_number(found: int, true: int, where: str) -> None:
         )
 
 
-def check_tracks(
-    result: Result, estimates: Sequence[Detections] | Sequence[FoundParticles]
-) -> None:
+def check_tracks(result: Result, estimates: Sequence[Detections | FoundParticles]) -> None:
     """Raise an InputError for a result that has trajectories in some frames only."""
     missing = [number for number, one in enumerate(estimates) if one.trajectory is None]
     if 0 < len(missing) < len(estimates):
