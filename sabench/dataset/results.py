@@ -129,7 +129,7 @@ class ResultWriter:
         self._check()
 
     def set(self, **costs: float | None) -> None:
-        """Store costs by their names in `Result`, and flags as 1; None and False are left out."""
+        """Store costs and flags by their names in `Result`, but not None and False."""
         given = {name: one for name, one in costs.items() if one is not None and one is not False}
         with hdf5.delay_interrupts():
             self._file.attrs.update({name: +one for name, one in given.items()})
