@@ -5,131 +5,88 @@ and `sabench.algorithms` only (adapters of other programs also from `sabench.int
 also from `sabench.worlds.library`); anything that these two do not name may move.
 """
 
-from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
+from sabench.api.estimates import (
+    Calibration as Calibration,
+    Detections as Detections,
+    FoundParticles as FoundParticles,
+    Reconstruction as Reconstruction,
+    Velocity as Velocity,
+)
 from sabench.api.generators import (
-    BodyFlow,
-    BubbleGenerator,
-    BubbleParameters,
-    Code,
-    CodeGenerator,
-    Flow,
-    Generator,
-    Material,
-    SolidGenerator,
-    SolidParameters,
-    TargetGenerator,
+    BodyFlow as BodyFlow,
+    BubbleGenerator as BubbleGenerator,
+    BubbleParameters as BubbleParameters,
+    Code as Code,
+    CodeGenerator as CodeGenerator,
+    Flow as Flow,
+    Generator as Generator,
+    Material as Material,
+    SolidGenerator as SolidGenerator,
+    SolidParameters as SolidParameters,
+    TargetGenerator as TargetGenerator,
 )
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api.make import make_algorithm as make_algorithm, make_solver as make_solver
 from sabench.api.observations import (
-    CalibrationCase,
-    ImagePair,
-    ImageSequence,
-    Observation,
-    Shown,
-    VolumePair,
+    CalibrationCase as CalibrationCase,
+    ImagePair as ImagePair,
+    ImageSequence as ImageSequence,
+    Observation as Observation,
+    Shown as Shown,
+    VolumePair as VolumePair,
 )
-from sabench.api.parameters import FileParameters, Parameters, PlugIn
+from sabench.api.parameters import (
+    FileParameters as FileParameters,
+    Parameters as Parameters,
+    PlugIn as PlugIn,
+)
 from sabench.api.solvers import (
-    AnySolver,
-    BubbleSolver,
-    CalibrationSolver,
-    IterativeSolver,
-    ParticleSolver,
-    PlanarVelocimetrySolver,
-    SeeThroughSolver,
-    SelfCalibrationSolver,
-    SequenceSolver,
-    Solver,
-    TaskName,
-    VelocimetryParameters,
-    VelocimetrySolver,
+    AnySolver as AnySolver,
+    BubbleSolver as BubbleSolver,
+    CalibrationSolver as CalibrationSolver,
+    IterativeSolver as IterativeSolver,
+    ParticleSolver as ParticleSolver,
+    PlanarVelocimetrySolver as PlanarVelocimetrySolver,
+    SeeThroughSolver as SeeThroughSolver,
+    SelfCalibrationSolver as SelfCalibrationSolver,
+    SequenceSolver as SequenceSolver,
+    Solver as Solver,
+    TaskName as TaskName,
+    VelocimetryParameters as VelocimetryParameters,
+    VelocimetrySolver as VelocimetrySolver,
 )
-from sabench.api.truth import Bubbles, Particles, Solid, Target
-from sabench.geometry.camera import Camera
-from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.grid import Grid
-from sabench.geometry.lens import Distortion
-from sabench.geometry.refraction import Layer, Rays, Wall
-from sabench.geometry.rigid_motion import Domain, Pose, frame_along, rotation_matrices
-from sabench.geometry.surfaces import bend
-from sabench.images.flaws import Flaws, Repaired
-from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
-from sabench.utils.errors import DeclinedError, InputError
-from sabench.utils.progress import progress_bar
-from sabench.utils.rng import stream
-from sabench.utils.validation import Direction, LensNumber, Vector
-
-__all__ = [
-    "F32",
-    "F64",
-    "I32",
-    "I64",
-    "U16",
-    "AnySolver",
-    "BodyFlow",
-    "Bool",
-    "BubbleGenerator",
-    "BubbleParameters",
-    "BubbleSolver",
-    "Bubbles",
-    "Calibration",
-    "CalibrationCase",
-    "CalibrationSolver",
-    "Camera",
-    "CameraModel",
-    "Code",
-    "CodeGenerator",
-    "DeclinedError",
-    "Detections",
-    "Direction",
-    "Distortion",
-    "Domain",
-    "FileParameters",
-    "Flaws",
-    "Flow",
-    "FoundParticles",
-    "Generator",
-    "Grid",
-    "ImagePair",
-    "ImageSequence",
-    "InputError",
-    "IterativeSolver",
-    "Layer",
-    "LensNumber",
-    "Material",
-    "Observation",
-    "Parameters",
-    "ParticleSolver",
-    "Particles",
-    "PlanarVelocimetrySolver",
-    "PlugIn",
-    "Pose",
-    "Rays",
-    "Reconstruction",
-    "Repaired",
-    "SeeThroughSolver",
-    "SelfCalibrationSolver",
-    "SequenceSolver",
-    "Shown",
-    "Solid",
-    "SolidGenerator",
-    "SolidParameters",
-    "Solver",
-    "Target",
-    "TargetGenerator",
-    "TaskName",
-    "Vector",
-    "VelocimetryParameters",
-    "VelocimetrySolver",
-    "Velocity",
-    "VolumePair",
-    "Wall",
-    "bend",
-    "frame_along",
-    "make_algorithm",
-    "make_solver",
-    "progress_bar",
-    "rotation_matrices",
-    "stream",
-    "triple",
-]
+from sabench.api.truth import (
+    Bubbles as Bubbles,
+    Particles as Particles,
+    Solid as Solid,
+    Target as Target,
+)
+from sabench.geometry.camera import Camera as Camera
+from sabench.geometry.camera_model import CameraModel as CameraModel
+from sabench.geometry.grid import Grid as Grid
+from sabench.geometry.lens import Distortion as Distortion
+from sabench.geometry.refraction import Layer as Layer, Rays as Rays, Wall as Wall
+from sabench.geometry.rigid_motion import (
+    Domain as Domain,
+    Pose as Pose,
+    frame_along as frame_along,
+    rotation_matrices as rotation_matrices,
+)
+from sabench.geometry.surfaces import bend as bend
+from sabench.images.flaws import Flaws as Flaws, Repaired as Repaired
+from sabench.utils.arrays import (
+    F32 as F32,
+    F64 as F64,
+    I32 as I32,
+    I64 as I64,
+    U16 as U16,
+    Bool as Bool,
+    triple as triple,
+)
+from sabench.utils.errors import DeclinedError as DeclinedError, InputError as InputError
+from sabench.utils.progress import progress_bar as progress_bar
+from sabench.utils.rng import stream as stream
+from sabench.utils.validation import (
+    Direction as Direction,
+    LensNumber as LensNumber,
+    Vector as Vector,
+)

@@ -54,11 +54,8 @@ class FoundParticles(Estimate):
     trajectory : (n,) numbers of trajectories, different within a frame: particles with the same
         number in several frames are the same particle. None: sabench links them.
 
-    Raises
-    ------
-    InputError
-        Arrays of other shapes or types, values that are not finite, two particles of one
-        trajectory, a probability that is none, or a covariance that is none.
+    Raises InputError for arrays of other shapes or types, values that are not finite, two particles
+    of one trajectory, a probability that is none, or a covariance that is none.
     """
 
     GROUP = "particles"
@@ -153,11 +150,8 @@ class Velocity(Estimate):
         of nodes, `low_mm` is a point of the world, and `step_mm[2]` the depth that a node
         represents. None: the lattice lies along the world's axes, and all components were measured.
 
-    Raises
-    ------
-    InputError
-        A spacing that is not a positive number, a lattice without nodes, axes that are no unit
-        vectors at right angles, or a planar field with several planes of nodes.
+    Raises InputError for a spacing that is not a positive number, a lattice without nodes, axes
+    that are no unit vectors at right angles, or a planar field with several planes of nodes.
     """
 
     GROUP = "velocity"
@@ -230,11 +224,8 @@ class Detections(Estimate):
         directions of the semi-axes.
     trajectory : (n,) numbers of trajectories, different within a frame. None: sabench links them.
 
-    Raises
-    ------
-    InputError
-        Arrays of other shapes, values that are not finite, semi-axes that are not positive,
-        matrices that are no rotations, or two bubbles of one trajectory.
+    Raises InputError for arrays of other shapes, values that are not finite, semi-axes that are not
+    positive, matrices that are no rotations, or two bubbles of one trajectory.
     """
 
     GROUP = "bubbles"

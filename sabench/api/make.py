@@ -11,10 +11,8 @@ from sabench.utils.validation import validate
 def generator_of(given: dict[str, Any]) -> Any:
     """Make the generator that a table of a scene names.
 
-    Raises
-    ------
-    InputError
-        No such generator, or parameters that it does not take, as in a data set's own scene.
+    Raises InputError for an unknown generator, or parameters that it does not take, as in a data
+    set's own scene.
     """
     rest = dict(given)
     name = rest.pop("generator", None)

@@ -37,11 +37,8 @@ class Observation:
     black_dn, white_dn : grey values of no light and of saturation.
     flaws : pixels that have been repaired in the images; None where they have not been looked for.
 
-    Raises
-    ------
-    InputError
-        Images of another kind, number or size than the cameras', or a black level that is not below
-        the white one.
+    Raises InputError for images of another kind, number or size than the cameras', or a black level
+    that is not below the white one.
     """
 
     images: U16
@@ -180,10 +177,7 @@ class CalibrationCase:
     known_cameras : whether the cameras are exact and only the wall and the target are not, as after
         a calibration without the tank.
 
-    Raises
-    ------
-    InputError
-        Arrays of other shapes, or a camera that found no point.
+    Raises InputError for arrays of other shapes, or a camera that found no point.
     """
 
     target: Target
@@ -235,10 +229,7 @@ class VolumePair:
     grid : their voxels.
     interval_s : time between them.
 
-    Raises
-    ------
-    InputError
-        Volumes of another shape than the grid's, or without any contrast.
+    Raises InputError for volumes of another shape than the grid's, or without any contrast.
     """
 
     first: F32
@@ -274,10 +265,7 @@ class ImagePair:
     first, second : the frames.
     interval_s : time between them.
 
-    Raises
-    ------
-    InputError
-        Frames of different numbers of cameras or image sizes.
+    Raises InputError for frames of different numbers of cameras or image sizes.
     """
 
     first: Observation

@@ -10,7 +10,7 @@ values that a scene or `-p name=value` may set.
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import ClassVar, Literal
+from typing import ClassVar, Generic, Literal, TypeVar
 
 from pydantic import Field
 
@@ -31,22 +31,32 @@ TaskName = Literal[
 ]
 
 
-class Solver(PlugIn):
+_Case = TypeVar("_Case")
+_Answer = TypeVar("_Answer")
+
+
+class SolverOf(PlugIn, Generic[_Case, _Answer]):
+    """Base of all solvers, for one kind of cases and one of answers."""
+
+    task: ClassVar[TaskName]
+    sees: ClassVar[Shown] = "particles"
+
+    def skip(self, case: _Case) -> str | None:
+        """Give the reason why this algorithm cannot take the case; None if it can."""
+        return None
+
+    def solve(self, case: _Case) -> _Answer:
+        """Return the answer to one case."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+class Solver(SolverOf[Observation, Reconstruction]):
     """Base of a reconstruction algorithm.
 
     `solve` turns one observation into one reconstruction.
     """
 
     task: ClassVar[TaskName] = "reconstruction"
-    sees: ClassVar[Shown] = "particles"
-
-    def skip(self, case: Observation) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
-
-    def solve(self, case: Observation) -> Reconstruction:
-        """Reconstruct one frame."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
 class IterativeSolver(Solver):
@@ -67,7 +77,7 @@ class IterativeSolver(Solver):
         return last[0]()
 
 
-class SequenceSolver(PlugIn):
+class SequenceSolver(SolverOf[ImageSequence, Iterable[Reconstruction]]):
     """Base of a reconstruction algorithm that takes several frames together.
 
     `solve` turns an image sequence into the reconstruction of each of its frames: a list, or an
@@ -75,37 +85,20 @@ class SequenceSolver(PlugIn):
     """
 
     task: ClassVar[TaskName] = "reconstruction"
-    sees: ClassVar[Shown] = "particles"
-
-    def skip(self, case: ImageSequence) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
-
-    def solve(self, case: ImageSequence) -> Iterable[Reconstruction]:
-        """Reconstruct every frame."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
-class ParticleSolver(PlugIn):
+class ParticleSolver(SolverOf[ImageSequence, Iterable[FoundParticles]]):
     """Base of an algorithm that finds particles, with or without trajectories.
 
     `solve` turns an image sequence into the particles of each of its frames: a list, or an iterator
-    that yields them in order, so that a long sequence needs no more memory than a short one.
+    that yields them in order, so that a long sequence needs no more memory than a short one. Either
+    all have trajectories, or none.
     """
 
     task: ClassVar[TaskName] = "particles"
-    sees: ClassVar[Shown] = "particles"
-
-    def skip(self, case: ImageSequence) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
-
-    def solve(self, case: ImageSequence) -> Iterable[FoundParticles]:
-        """Find the particles of every frame; either all with trajectories, or none."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
-class CalibrationSolver(PlugIn):
+class CalibrationSolver(SolverOf[CalibrationCase, Calibration]):
     """Base of a calibration algorithm.
 
     `solve` turns all observations of a target into cameras. `needs_places` says that it takes the
@@ -116,31 +109,14 @@ class CalibrationSolver(PlugIn):
     sees: ClassVar[Shown] = "target"
     needs_places: ClassVar[bool] = False
 
-    def skip(self, case: CalibrationCase) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
 
-    def solve(self, case: CalibrationCase) -> Calibration:
-        """Calibrate an array of cameras."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
-
-
-class SelfCalibrationSolver(PlugIn):
+class SelfCalibrationSolver(SolverOf[Observation, Calibration]):
     """Base of an algorithm that corrects cameras by images of particles.
 
     `solve` turns one observation into cameras.
     """
 
     task: ClassVar[TaskName] = "calibration"
-    sees: ClassVar[Shown] = "particles"
-
-    def skip(self, case: Observation) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
-
-    def solve(self, case: Observation) -> Calibration:
-        """Correct the cameras of an array by one frame."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
 class VelocimetryParameters(Parameters):
@@ -151,44 +127,26 @@ class VelocimetryParameters(Parameters):
     )
 
 
-class VelocimetrySolver(PlugIn):
+class VelocimetrySolver(SolverOf[VolumePair, Velocity]):
     """Base of a velocimetry algorithm.
 
     `solve` turns two volumes into a velocity field.
     """
 
     task: ClassVar[TaskName] = "velocimetry"
-    sees: ClassVar[Shown] = "particles"
     Parameters = VelocimetryParameters
 
-    def skip(self, case: VolumePair) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
 
-    def solve(self, case: VolumePair) -> Velocity:
-        """Measure the velocity field of a pair."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
-
-
-class PlanarVelocimetrySolver(PlugIn):
+class PlanarVelocimetrySolver(SolverOf[ImagePair, Velocity]):
     """Base of a velocimetry algorithm that needs no volumes.
 
-    `solve` turns two frames into a velocity field in a plane.
+    `solve` turns two frames into a velocity field in a plane, with `plane_axes`.
     """
 
     task: ClassVar[TaskName] = "velocimetry"
-    sees: ClassVar[Shown] = "particles"
-
-    def skip(self, case: ImagePair) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
-
-    def solve(self, case: ImagePair) -> Velocity:
-        """Measure the velocity field of a pair, with `plane_axes`."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
-class BubbleSolver(PlugIn):
+class BubbleSolver(SolverOf[Observation, Detections]):
     """Base of an algorithm that finds bubbles.
 
     `solve` turns one observation into detections.
@@ -197,31 +155,15 @@ class BubbleSolver(PlugIn):
     task: ClassVar[TaskName] = "bubbles"
     sees: ClassVar[Shown] = "bubbles"
 
-    def skip(self, case: Observation) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
 
-    def solve(self, case: Observation) -> Detections:
-        """Find the bubbles of one frame."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
-
-
-class SeeThroughSolver(PlugIn):
+class SeeThroughSolver(SolverOf[Observation, Reconstruction]):
     """Base of an algorithm that sees through the objects in front of a body.
 
-    `solve` turns one observation into a stack of planes.
+    `solve` turns one observation into planes, bright where voxels let light through.
     """
 
     task: ClassVar[TaskName] = "see_through"
     sees: ClassVar[Shown] = "code"
-
-    def skip(self, case: Observation) -> str | None:
-        """Give the reason why this algorithm cannot take the case; None if it can."""
-        return None
-
-    def solve(self, case: Observation) -> Reconstruction:
-        """Compute planes where voxels that let light through are bright."""
-        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
 AnySolver = (

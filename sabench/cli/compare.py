@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from sabench.cli import options, tables
-from sabench.cli.options import AsJson, argument, option, say_json
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 from sabench.utils.number_text import significant
 
 if TYPE_CHECKING:
@@ -45,11 +45,8 @@ def reproduce(
     ] = None,
     output: Annotated[
         Path | None,
-        option(
-            "FILE",
-            "Write each name's rows to a JSON file when it is done; other rows stay.",
-            "-o",
-            "--output",
+        output_option(
+            "FILE", "Write each name's rows to a JSON file when it is done; other rows stay."
         ),
     ] = None,
     figures: Annotated[
@@ -88,27 +85,20 @@ def reproduce(
 
 def run(
     suite: options.SuiteName,
-    as_json: options.AsJson = False,
-    work: Annotated[Path, options.option("FOLDER", "Folder of data sets and results.")] = Path(
-        "work"
-    ),
+    as_json: AsJson = False,
+    work: Annotated[Path, option("FOLDER", "Folder of data sets and results.")] = Path("work"),
     leaderboard: options.Leaderboard = Path("leaderboard"),
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Compute everything again, including recorded results.")
     ] = False,
-    case: Annotated[
-        list[str] | None, options.option("NAME", "Run this case only; repeatable.")
-    ] = None,
-    seed: Annotated[
-        list[int] | None, options.option("N", "Run this seed only; repeatable.")
-    ] = None,
+    case: Annotated[list[str] | None, option("NAME", "Run this case only; repeatable.")] = None,
+    seed: Annotated[list[int] | None, option("N", "Run this seed only; repeatable.")] = None,
     solver: Annotated[
-        list[str] | None,
-        options.option("NAME", "Run this solver only, by its name in tables; repeatable."),
+        list[str] | None, option("NAME", "Run this solver only, by its name in tables; repeatable.")
     ] = None,
     hidden: Annotated[
         Path | None,
-        options.option(
+        option(
             "FILE", "Run the private test set of the organiser's secret file, not the public one."
         ),
     ] = None,
@@ -120,9 +110,8 @@ def run(
     """
     from sabench.evaluation.runner import run_suite
     from sabench.evaluation.suites import Only
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     records = run_suite(
         suite,
         work,
@@ -133,7 +122,7 @@ def run(
         jobs=jobs,
     )
     if as_json:
-        options.say_json(records)
+        say_json(records)
     else:
         _show_records(records)
         _say_page(leaderboard / "index.html")
@@ -176,14 +165,14 @@ def _record_cells(row: dict[str, Any], columns: tuple[Score, ...]) -> list[str]:
 
 
 def _say_page(page: Path) -> None:
-    options.say(f"page: {page.resolve()}")
+    say(f"page: {page.resolve()}")
 
 
 def check(
     suite: options.SuiteName,
     baseline: Annotated[
         Path | None,
-        options.option(
+        option(
             "FILE",
             "Baseline to compare with. [default: the bundled one, or SUITE.baseline.json "
             "next to a suite of your own]",
@@ -195,17 +184,16 @@ def check(
     ] = False,
     solver: Annotated[
         list[str] | None,
-        options.option(
+        option(
             "NAME",
             "Run this solver instead of the suite's, on cases of its task; repeatable.",
             autocompletion=options.complete_solver,
         ),
     ] = None,
-    junit: Annotated[Path | None, options.option("FILE", "Write a JUnit XML file, too.")] = None,
-    as_json: options.AsJson = False,
+    junit: Annotated[Path | None, option("FILE", "Write a JUnit XML file, too.")] = None,
+    as_json: AsJson = False,
     work: Annotated[
-        Path | None,
-        options.option("FOLDER", "Folder of data sets and results. [default: a temporary one]"),
+        Path | None, option("FOLDER", "Folder of data sets and results. [default: a temporary one]")
     ] = None,
     exit_first: Annotated[
         bool,
@@ -219,16 +207,15 @@ def check(
     The exit code is 1 if a score got worse.
     """
     from sabench.evaluation.gates.comparison import check as compare, write_junit
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     report = compare(
         suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first
     )
     if junit:
         write_junit(junit, report)
     if as_json:
-        options.say_json(report.to_dict())
+        say_json(report.to_dict())
     else:
         show_report(report)
     if report.worse:
@@ -246,25 +233,23 @@ def show_report(report: GateReport) -> None:
         headings = ["case", "solver", "figure", "baseline", "now", "change", "tolerance"]
         tables.show(headings, rows, keys=3)
     for change in report.news:
-        options.say(f"news: {change.sentence}")
-    options.say(report.summary)
+        say(f"news: {change.sentence}")
+    say(report.summary)
 
 
 def submit(
     result: Annotated[
         Path,
-        options.argument(
-            "RESULT", "A result file, or a .zip, .tar, .tar.gz or folder of result files."
-        ),
+        argument("RESULT", "A result file, or a .zip, .tar, .tar.gz or folder of result files."),
     ],
-    name: Annotated[str, options.option("NAME", "Name of the submitter, at most 200 characters.")],
+    name: Annotated[str, option("NAME", "Name of the submitter, at most 200 characters.")],
     data: Annotated[
         list[Path] | None,
-        options.option("FOLDER", "Folder of data sets; repeatable. [default: work/datasets]"),
+        option("FOLDER", "Folder of data sets; repeatable. [default: work/datasets]"),
     ] = None,
     card: options.Cards = None,
     leaderboard: options.Leaderboard = Path("leaderboard"),
-    as_json: options.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Check and score submitted results and add them to the leaderboard."""
     from sabench.evaluation.leaderboard.submissions import submit as send
@@ -272,7 +257,7 @@ def submit(
     folders = data or [Path("work/datasets")]
     standings = send(result, name, folders, leaderboard, cards=card or ())
     if as_json:
-        options.say_json([{**row.record, "rank": row.rank, "of": row.of} for row in standings])
+        say_json([{**row.record, "rank": row.rank, "of": row.of} for row in standings])
         return
     headings = ["case", "seed", "solver", "first score", "rank", "best other"]
     tables.show(headings, [_standing_cells(standing) for standing in standings], keys=3)
@@ -300,12 +285,12 @@ def board(leaderboard: options.Leaderboard = Path("leaderboard")) -> None:
 def challenge(
     suite: options.SuiteName,
     hidden: Annotated[
-        Path, options.option("FILE", "The organiser's secret file, from which the seeds come.")
+        Path, option("FILE", "The organiser's secret file, from which the seeds come.")
     ],
-    output: Annotated[Path, options.option("FOLDER", "Folder of the challenge.", "-o", "--output")],
+    output: Annotated[Path, output_option("FOLDER", "Folder of the challenge.")],
     task: Annotated[
         str | None,
-        options.option(
+        option(
             "TASK",
             "Task of all results. [default: the only one of the suite]",
             autocompletion=options.complete_task,
@@ -313,9 +298,7 @@ def challenge(
     ] = None,
     codabench: Annotated[
         str | None,
-        options.option(
-            "IMAGE", "Make a bundle for Codabench, too, which scores in this Docker image."
-        ),
+        option("IMAGE", "Make a bundle for Codabench, too, which scores in this Docker image."),
     ] = None,
     jobs: options.Jobs = 1,
 ) -> None:
@@ -324,41 +307,38 @@ def challenge(
     If interrupted, run the same command again to resume.
     """
     from sabench.apps.challenge.board import BUNDLE, PARTICIPANT, make_challenge
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     chosen = cast("TaskName | None", task)  # `make_challenge` checks the word
     test_set = make_challenge(suite, hidden, output, task=chosen, image=codabench, jobs=jobs)
     count = f"{len(test_set.data_sets)} data set(s) of the task {test_set.task}"
-    options.say(f"{output / PARTICIPANT}: images and cameras of {count}, for participants")
+    say(f"{output / PARTICIPANT}: images and cameras of {count}, for participants")
     if codabench is not None:
-        options.say(f"{output / BUNDLE}: bundle for the server, with the truth: keep it private")
-    options.say(f"{output / 'private'}: data sets with their truth: keep them private")
+        say(f"{output / BUNDLE}: bundle for the server, with the truth: keep it private")
+    say(f"{output / 'private'}: data sets with their truth: keep them private")
 
 
 def participate(
     path: Annotated[
-        Path, options.argument("CHALLENGE", "The archive that the organiser sent, or its folder.")
+        Path, argument("CHALLENGE", "The archive that the organiser sent, or its folder.")
     ],
     solver: Annotated[
         str,
-        options.argument(
+        argument(
             "SOLVER",
             "Name of a solver, or path of a program.",
             autocompletion=options.complete_solver,
         ),
     ],
-    output: Annotated[
-        Path, options.option("ARCHIVE", "The .zip file to create.", "-o", "--output")
-    ],
+    output: Annotated[Path, output_option("ARCHIVE", "The .zip file to create.")],
     card: options.Cards = None,
     parameters: options.ParameterPairs = None,
     time_limit: options.TimeLimit = None,
     memory_limit: options.MemoryLimit = None,
-    results: Annotated[Path, options.option("FOLDER", "Folder in which results are kept.")] = Path(
+    results: Annotated[Path, option("FOLDER", "Folder in which results are kept.")] = Path(
         "work/challenge"
     ),
-    overwrite: options.Overwrite = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Solve all data sets of a challenge and pack the results.
 
@@ -366,9 +346,8 @@ def participate(
     """
     from sabench.apps.challenge.board import participate as solve_all
     from sabench.utils.processes.program import limits_of
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     count = solve_all(
         path,
         solver,
@@ -379,4 +358,4 @@ def participate(
         limits=limits_of(time_limit, memory_limit),
         overwrite=overwrite,
     )
-    options.say(f"{output}: {count} result(s); send it to the organiser")
+    say(f"{output}: {count} result(s); send it to the organiser")

@@ -11,17 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from sabench.cli import tables
-from sabench.cli.options import (
-    AsJson,
-    DataSet,
-    Overwrite,
-    argument,
-    option,
-    parse_steps,
-    say,
-    say_json,
-)
+from sabench.cli import options, tables
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 from sabench.utils.errors import MOST, InputError
 
 if TYPE_CHECKING:
@@ -34,13 +25,11 @@ if TYPE_CHECKING:
 
 
 def export(
-    dataset: DataSet,
+    dataset: options.DataSet,
     result: Annotated[Path | None, argument("RESULT", "A result file; by default none.")] = None,
     output: Annotated[
         Path | None,
-        option(
-            "FOLDER", "The folder to create. [default: the name of the format]", "-o", "--output"
-        ),
+        output_option("FOLDER", "The folder to create. [default: the name of the format]"),
     ] = None,
     to: Annotated[
         str,
@@ -67,9 +56,9 @@ def export(
 
 
 def import_result(
-    dataset: DataSet,
+    dataset: options.DataSet,
     found: Annotated[Path, argument("FOUND", "The file or folder that the program wrote.")],
-    output: Annotated[Path, option("RESULT", "The result file to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("RESULT", "The result file to create.")],
     form: Annotated[
         str,
         option("FORMAT", "openptv, myptv, openlpt, lpt-challenge, netcdf, mat or csv.", "--from"),
@@ -127,13 +116,13 @@ def _pairs(words: list[str]) -> dict[str, str]:
     return {of: camera for of, _, camera in parted}
 
 
-def _numbers(option: str, text: str, expected: str, count: int) -> list[float]:
+def _numbers(flag: str, text: str, expected: str, count: int) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
     if len(values) != count:
-        raise InputError(f"{option}: expected {expected}, got {text!r}")
+        raise InputError(f"{flag}: expected {expected}, got {text!r}")
     return values
 
 
@@ -255,7 +244,7 @@ _KEYS = {
         list[str] | None,
         "NAME[,KEY=VALUE]",
         "Step of preprocessing, as in sliding_minimum,window_px=9; repeatable.",
-        read=parse_steps,
+        read=options.parse_steps,
     ),
     "backlit": _Key(
         "--backlit", bool, None, "The images show bubbles or bodies, not particles.", default=False
@@ -280,7 +269,7 @@ _KEYS = {
 @_with_keys
 def import_recording(
     folder: Annotated[Path, argument("FOLDER", "A folder of images.")],
-    output: Annotated[Path, option("FOLDER", "The data set folder to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("FOLDER", "The data set folder to create.")],
     cameras: Annotated[
         Path | None,
         option(
@@ -312,16 +301,16 @@ def import_recording(
 
     given = {name: value for name, value in keys.items() if value not in (None, [])}
     readers = {name: key.read for name, key in _KEYS.items() if key.read}
-    options = ImportOptions(
+    chosen = ImportOptions(
         **{name: readers[name](text) if name in readers else text for name, text in given.items()}
     )
-    size = _first_size(folder, options.pattern) if form else None
-    lit = None if options.volume_mm is None else _grid(options.volume_mm)
+    size = _first_size(folder, chosen.pattern) if form else None
+    lit = None if chosen.volume_mm is None else _grid(chosen.volume_mm)
     with notes_shown():  # the reader checks the word
         source = read_camera_source(
             cameras or folder, cast("CameraFormat | None", form), unit=unit, size=size, grid=lit
         )
-    data = make(folder, source.cameras, output, options, source.grid, overwrite=overwrite)
+    data = make(folder, source.cameras, output, chosen, source.grid, overwrite=overwrite)
     if as_json:
         say_json(_import_record(data))
     else:

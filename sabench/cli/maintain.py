@@ -16,6 +16,7 @@ import typer
 
 from sabench import plugins
 from sabench.cli import options, tables
+from sabench.cli.options import AsJson, argument, option, say, say_json
 from sabench.utils.errors import InputError
 from sabench.utils.version import __version__
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 def list_all(
     kind: Annotated[
         str | None,
-        options.option(
+        option(
             "KIND",
             "List this kind only: generator, solver, scene or suite.",
             autocompletion=options.complete(lambda: options.KINDS),
@@ -34,11 +35,9 @@ def list_all(
     ] = None,
     task: Annotated[
         str | None,
-        options.option(
-            "TASK", "List the solvers of this task only.", autocompletion=options.complete_task
-        ),
+        option("TASK", "List the solvers of this task only.", autocompletion=options.complete_task),
     ] = None,
-    as_json: options.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """List generators, solvers, scenes and suites."""
     entries, faults = _entries(kind)
@@ -51,18 +50,18 @@ def list_all(
     for fault in faults:
         print(f"warning: {fault}", file=sys.stderr)
     if as_json:
-        options.say_json([_record(entry) for entry in entries])
+        say_json([_record(entry) for entry in entries])
     elif sys.stdout.isatty():  # lines are cut to the width of the terminal
         for (kind, group), members in itertools.groupby(entries, lambda row: (row.kind, row.group)):
             rows = list(members)
-            options.say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
+            say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
             names = max(len(entry.name) for entry in rows)
             for entry in rows:
                 columns = tables.width() - names - 4
-                options.say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
+                say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
     else:
         for entry in entries:
-            options.say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
+            say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
 
 
 def _entries(kind: str | None) -> tuple[list[ListEntry], list[str]]:
@@ -93,7 +92,7 @@ def schema() -> None:
     """Print the JSON schema of a scene file, for editors."""
     from sabench.scenes import scene_schema
 
-    options.say(json.dumps(scene_schema(), indent=1))
+    say(json.dumps(scene_schema(), indent=1))
 
 
 _TEMPLATES = ("scene", "solver", "suite", "gate")
@@ -102,16 +101,16 @@ _TEMPLATES = ("scene", "solver", "suite", "gate")
 def new(
     kind: Annotated[
         str,
-        options.argument(
+        argument(
             "KIND",
             "scene, solver, suite or gate.",
             autocompletion=options.complete(lambda: _TEMPLATES),
         ),
     ],
-    path: Annotated[Path, options.argument("PATH", "The folder, or the scene file, to create.")],
+    path: Annotated[Path, argument("PATH", "The folder, or the scene file, to create.")],
     like: Annotated[
         str | None,
-        options.option(
+        option(
             "SCENE",
             "Bundled scene to copy. [default: quick]",
             autocompletion=options.complete_scene,
@@ -131,7 +130,7 @@ def new(
         source = find((like or "quick"), "scenes")
         with complete_or_nothing(path) as partial:
             partial.write_bytes(source.read_bytes())
-        options.say(f"{path}: the scene {source.stem}, to be changed")
+        say(f"{path}: the scene {source.stem}, to be changed")
     elif like is not None:
         raise InputError(f"--like: expected with a scene, got {like!r} with a {kind}")
     else:
@@ -140,7 +139,7 @@ def new(
         ignored = shutil.ignore_patterns("__pycache__")
         with complete_or_nothing(path) as partial:
             shutil.copytree(plugins.bundled_folder("templates") / kind, partial, ignore=ignored)
-        options.say(f"{path}: template of a {kind}; read README.md")
+        say(f"{path}: template of a {kind}; read README.md")
 
 
 _PATIENCE_S = 180
@@ -161,9 +160,9 @@ def doctor() -> None:
     """Check the rendering and compute back ends and say how to fix what is missing."""
     findings = examine()
     for finding in findings:
-        options.say(f"{'ok ' if finding.well else 'BAD'} {finding.subject:<16} {finding.text}")
+        say(f"{'ok ' if finding.well else 'BAD'} {finding.subject:<16} {finding.text}")
         if finding.remedy and not finding.well:
-            options.say(f"    remedy: {finding.remedy}")
+            say(f"    remedy: {finding.remedy}")
     if not all(finding.well for finding in findings):
         raise typer.Exit(1)
 
@@ -249,11 +248,11 @@ def try_render() -> str:
 def warmup(
     solvers: Annotated[
         list[str] | None,
-        options.argument(
+        argument(
             "SOLVER", "Names of solvers; by default all.", autocompletion=options.complete_solver
         ),
     ] = None,
-    as_json: options.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Compile the kernels of solvers now, for images of containers.
 
@@ -262,15 +261,14 @@ def warmup(
     from dataclasses import asdict
 
     from sabench.tasks.conformance import warm_up
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     warmed = []
     for run in warm_up(solvers or ()):
         warmed.append(run)
         if not as_json:
-            options.say(f"{run.compile_s:6.1f} s {run.solver}{': ' + run.text if run.text else ''}")
+            say(f"{run.compile_s:6.1f} s {run.solver}{': ' + run.text if run.text else ''}")
     if as_json:
-        options.say_json([asdict(run) for run in warmed])
+        say_json([asdict(run) for run in warmed])
     if any(run.verdict == "broken" for run in warmed):
         raise typer.Exit(1)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from sabench.cli import options, tables
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,41 +23,31 @@ _BASE = "standard-particles"  # scene that a design changes
 def plan(
     scene: Annotated[
         str | None,
-        options.argument(
+        argument(
             "SCENE",
             "A scene file, or the name of a bundled scene; with --depth, the scene to change.",
             autocompletion=options.complete_scene,
         ),
     ] = None,
     page: Annotated[
-        Path | None,
-        options.option("FILE", "Write the plan with drawings of the rig as a page.", "--html"),
+        Path | None, option("FILE", "Write the plan with drawings of the rig as a page.", "--html")
     ] = None,
-    bus_mb_s: Annotated[float, options.option("X", "Transfer rate of one bus, MB/s.")] = 80.0,
-    memory_gb: Annotated[
-        float, options.option("X", "Memory for the images of a recording, GB.")
-    ] = 8.0,
-    gap_us: Annotated[
-        float, options.option("X", "Shortest time between two exposures, us.")
-    ] = 250.0,
-    depth: Annotated[float | None, options.option("X", "Wanted depth of the volume, mm.")] = None,
-    density: Annotated[
-        float | None, options.option("X", "Wanted density, particles per mm3.")
-    ] = None,
+    bus_mb_s: Annotated[float, option("X", "Transfer rate of one bus, MB/s.")] = 80.0,
+    memory_gb: Annotated[float, option("X", "Memory for the images of a recording, GB.")] = 8.0,
+    gap_us: Annotated[float, option("X", "Shortest time between two exposures, us.")] = 250.0,
+    depth: Annotated[float | None, option("X", "Wanted depth of the volume, mm.")] = None,
+    density: Annotated[float | None, option("X", "Wanted density, particles per mm3.")] = None,
     resolution: Annotated[
-        float | None, options.option("X", "Wanted width of a pixel in the volume, mm.")
+        float | None, option("X", "Wanted width of a pixel in the volume, mm.")
     ] = None,
-    output: Annotated[
-        Path | None, options.option("FILE", "Write the scene that is wanted.", "-o", "--output")
-    ] = None,
-    as_json: options.AsJson = False,
-    overwrite: options.Overwrite = False,
+    output: Annotated[Path | None, output_option("FILE", "Write the scene that is wanted.")] = None,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Plan an experiment: resolution, depth, light, density and data rate of a scene."""
     from sabench.apps.planning.plan import RecordingSystem, plan as make
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     recorder = RecordingSystem(bus_mb_s, memory_gb, gap_us)
     wanted = {"depth": depth, "density": density, "resolution": resolution, "output": output}
     if any(value is not None for value in wanted.values()):
@@ -66,15 +57,19 @@ def plan(
     else:
         planned = make(scene, recorder)
     if page is not None:
-        _write_page(planned, page, overwrite=overwrite)
+        from sabench.apps.planning.page import render_plan
+        from sabench.utils.files import complete_or_nothing
+
+        with complete_or_nothing(page, overwrite=overwrite) as partial:
+            partial.write_text(render_plan(planned), encoding="utf-8")
     if as_json:
-        options.say_json(planned.to_dict())
+        say_json(planned.to_dict())
     else:
         _show(planned)
         if output is not None:
-            options.say(f"{output}: the scene that is wanted")
+            say(f"{output}: the scene that is wanted")
         if page is not None:
-            options.say(f"{page}: the plan with drawings")
+            say(f"{page}: the plan with drawings")
 
 
 def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Scene:
@@ -92,52 +87,38 @@ def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Sc
     return designed
 
 
-def _write_page(planned: Plan, file: Path, *, overwrite: bool) -> None:
-    from sabench.apps.planning.page import render_plan
-    from sabench.utils.files import complete_or_nothing
-
-    with complete_or_nothing(file, overwrite=overwrite) as partial:
-        partial.write_text(render_plan(planned), encoding="utf-8")
-
-
 def _show(planned: Plan) -> None:
     rows = [
         (section.title if number == 0 else "", entry.key, entry.text, entry.meaning, entry.source)
         for section in planned.sections
         for number, entry in enumerate(section.quantities)
     ]
-    options.say(planned.scene.title)
+    say(planned.scene.title)
     tables.show_wrapped(("", "figure", "value", "meaning", "equation or source"), rows)
     for advice in planned.advice:
-        options.say(f"warning: {advice.key}: {advice.sentence}")
+        say(f"warning: {advice.key}: {advice.sentence}")
 
 
 def generate(
     scene: options.SceneName,
-    output: Annotated[
-        Path, options.option("FOLDER", "The data set folder to create.", "-o", "--output")
-    ],
-    seed: Annotated[int, options.option("N", "Seed of all random numbers.")] = 0,
-    backend: Annotated[str, options.option("NAME", "Renderer: auto, mitsuba or splat.")] = "auto",
+    output: Annotated[Path, output_option("FOLDER", "The data set folder to create.")],
+    seed: Annotated[int, option("N", "Seed of all random numbers.")] = 0,
+    backend: Annotated[str, option("NAME", "Renderer: auto, mitsuba or splat.")] = "auto",
     frames: Annotated[
-        int | None, options.option("N", "Number of frames, overriding the scene.", min=1)
+        int | None, option("N", "Number of frames, overriding the scene.", min=1)
     ] = None,
     jobs: options.Jobs = 1,
     scheduler: Annotated[
         str | None,
-        options.option(
-            "ADDRESS", "Address of a Dask scheduler, tcp://..., whose workers do the work."
-        ),
+        option("ADDRESS", "Address of a Dask scheduler, tcp://..., whose workers do the work."),
     ] = None,
     samples: Annotated[
         int | None,
-        options.option(
-            "N", "Number of independent samples, in shards, in place of one sequence.", min=1
-        ),
+        option("N", "Number of independent samples, in shards, in place of one sequence.", min=1),
     ] = None,
     split: Annotated[
         str | None,
-        options.option(
+        option(
             "SHARES",
             "Of the samples: shares of training, validation and test, 80/10/10. "
             "[default: all for training]",
@@ -145,7 +126,7 @@ def generate(
     ] = None,
     truth: Annotated[
         str | None,
-        options.option(
+        option(
             "KINDS",
             "Of the samples: truth to keep, some of particles,views,radiance, or none. "
             "[default: particles,views]",
@@ -153,17 +134,15 @@ def generate(
     ] = None,
     compression: Annotated[
         str | None,
-        options.option(
+        option(
             "NAME", "Of the samples: none, or gzip: smaller shards, slower to read. [default: none]"
         ),
     ] = None,
     shard_size: Annotated[
         int | None,
-        options.option(
-            "N", "Of the samples: number in a shard. [default: 64 MB of grey values]", min=1
-        ),
+        option("N", "Of the samples: number in a shard. [default: 64 MB of grey values]", min=1),
     ] = None,
-    overwrite: options.Overwrite = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Generate a data set: images, cameras and truth.
 
@@ -171,9 +150,8 @@ def generate(
     """
     from sabench.scenes import load_scene
     from sabench.simulation.pipeline import generate as make
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     loaded = load_scene(scene)
     loaded = loaded if frames is None else loaded.with_frames(frames)
     common: dict[str, Any] = {
@@ -193,7 +171,7 @@ def generate(
         raise InputError(f"--{next(iter(given))}: expected --samples with it, got none")
     data = make(loaded, output, **common)
     size = f"{data.setup.frames} frame(s) of {len(data.setup.cameras)} cameras"
-    options.say(f"{data.root}: {size}, {data.manifest.renderer}, hash {data.content_hash[:12]}")
+    say(f"{data.root}: {size}, {data.manifest.renderer}, hash {data.content_hash[:12]}")
 
 
 def _generate_samples(
@@ -201,19 +179,15 @@ def _generate_samples(
 ) -> None:
     from sabench.simulation.sample_shards import generate_samples
 
-    chosen: dict[str, Any] = {}
-    if "split" in given:
-        chosen["split"] = _shares(given["split"])
-    if "truth" in given:
-        words = [] if given["truth"] == "none" else given["truth"].split(",")
-        chosen["truth"] = [word.strip() for word in words]
-    if "compression" in given:
-        chosen["compression"] = given["compression"]
-    if "shard-size" in given:
-        chosen["size"] = given["shard-size"]
-    data = generate_samples(scene, output, samples=samples, **chosen, **common)
+    keys = {name.replace("shard-", ""): value for name, value in given.items()}
+    if "split" in keys:
+        keys["split"] = _shares(keys["split"])
+    if "truth" in keys:
+        words = [] if keys["truth"] == "none" else keys["truth"].split(",")
+        keys["truth"] = [word.strip() for word in words]
+    data = generate_samples(scene, output, samples=samples, **keys, **common)
     splits = ", ".join(f"{count} {name}" for name, count in data.splits.items())
-    options.say(f"{data.root}: {splits} samples, hash {data.content_hash[:12]}")
+    say(f"{data.root}: {splits} samples, hash {data.content_hash[:12]}")
 
 
 def _shares(text: str) -> list[float]:
@@ -227,7 +201,7 @@ def verify(
     dataset: options.DataSet,
     against: Annotated[
         Path | None,
-        options.option(
+        option(
             "DATASET",
             "Another copy, perhaps of another processor, that must hold the same up to rounding.",
         ),
@@ -243,25 +217,23 @@ def verify(
         faults = faults or faults_of(against)
         faults = faults or disagreements(open_dataset(against), open_dataset(dataset))
     for fault in faults:
-        options.say(fault)
+        say(fault)
     if faults:
         raise typer.Exit(1)
     agrees = f", agrees with {against}" if against is not None else ""
-    options.say(f"{dataset}: intact{agrees}{describe_contents(dataset)}")
+    say(f"{dataset}: intact{agrees}{describe_contents(dataset)}")
 
 
 def pack(
     path: Annotated[
-        Path, options.argument("PATH", "A data set folder, or a result file or a folder of some.")
+        Path, argument("PATH", "A data set folder, or a result file or a folder of some.")
     ],
-    output: Annotated[
-        Path, options.option("PATH", "The folder, or .zip archive, to create.", "-o", "--output")
-    ],
+    output: Annotated[Path, output_option("PATH", "The folder, or .zip archive, to create.")],
     blind: Annotated[
         bool, typer.Option("--blind", help="Leave out the truth, the scene and the seed.")
     ] = False,
     card: options.Cards = None,
-    overwrite: options.Overwrite = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Copy a data set, or results with the card of their solver, for others.
 
@@ -281,7 +253,7 @@ def pack(
         else:
             copy(open_dataset(path), output, blind=blind, overwrite=overwrite)
         side = "observation side" if blind else "whole data set"
-        options.say(f"{output}: {side} of {contents.content_hash[:12]}")
+        say(f"{output}: {side} of {contents.content_hash[:12]}")
     elif blind:
         raise InputError(f"{path}: expected a data set to pack with --blind, found none")
     else:
@@ -290,4 +262,4 @@ def pack(
         with submitted_files(path) as files:
             count, carded = pack_results(files, output, (card or []), overwrite=overwrite)
         described = f"the card of {' and '.join(carded)}" if carded else "no solver card"
-        options.say(f"{output}: {count} result(s), {described}")
+        say(f"{output}: {count} result(s), {described}")

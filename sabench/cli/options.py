@@ -29,6 +29,13 @@ def say_json(value: Any) -> None:
     say(json.dumps(value, allow_nan=False))
 
 
+def announce_compiling() -> None:
+    """Announce kernels that take long to compile, on standard error."""
+    from sabench.utils.progress import announce_compiling as announce  # it takes long to load
+
+    announce()
+
+
 def parse_parameters(pairs: list[str] | None) -> dict[str, Any]:
     """Read name=value pairs; a value is TOML if it parses as TOML, else a string."""
     values: dict[str, Any] = {}
@@ -76,6 +83,11 @@ def option(metavar: str | None, text: str, *flags: str, **more: Any) -> Any:
 def argument(metavar: str, text: str, **more: Any) -> Any:
     """Declare an argument by its word and its help."""
     return typer.Argument(metavar=metavar, help=text, **more)
+
+
+def output_option(metavar: str, text: str) -> Any:
+    """Declare the option -o for the file or folder to create."""
+    return option(metavar, text, "-o", "--output")
 
 
 DataSet = Annotated[Path, argument("DATASET", "A data set folder.")]

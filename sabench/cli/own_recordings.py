@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from sabench import plugins
 from sabench.cli import options, tables
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 
 if TYPE_CHECKING:
     from sabench.apps.own_calibration.report import CalibrationReport
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 def calibrate(
     folder: Annotated[
         Path,
-        options.argument(
+        argument(
             "FOLDER",
             "A folder with calibration.toml and images or points.csv "
             "(see docs/using/calibrating.md).",
@@ -25,13 +26,11 @@ def calibrate(
     ],
     output: Annotated[
         Path | None,
-        options.option(
-            "FOLDER", "The folder to create. [default: result, in that folder]", "-o", "--output"
-        ),
+        output_option("FOLDER", "The folder to create. [default: result, in that folder]"),
     ] = None,
     solver: Annotated[
         str,
-        options.option(
+        option(
             "NAME",
             "Name of a calibration solver.",
             autocompletion=options.complete(lambda: plugins.list_solvers("calibration")),
@@ -40,27 +39,26 @@ def calibrate(
     parameter: options.ParameterPairs = None,
     unknowns: Annotated[
         str | None,
-        options.option(
+        option(
             "NAMES",
             "Unknowns besides the focal lengths, separated by commas, in place of those of "
             "calibration.toml; or auto: those that make held-out frames fit better.",
         ),
     ] = None,
-    as_json: options.AsJson = False,
-    overwrite: options.Overwrite = False,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Calibrate your own cameras from images or points of a target."""
     from dataclasses import asdict
 
     from sabench.apps.own_calibration.calibrate import calibrate as make
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     out = output or folder / "result"
     values = options.parse_parameters(parameter)
     report = make(folder, out, solver, values, unknowns=unknowns, overwrite=overwrite)
     if as_json:
-        options.say_json(asdict(report))
+        say_json(asdict(report))
     else:
         _show_calibration(report, out)
 
@@ -76,12 +74,12 @@ def _show_unknowns(report: CalibrationReport) -> None:
         lines.append([name, *figures, row.remark or ("yes" if row.chosen else "no")])
     tables.show(["unknowns", "held-out px", "change", "standard error", "keep"], lines)
     quoted = ", ".join(f'"{name}"' for name in report.unknown)
-    options.say(f"recommended and used: unknown = [{quoted}]")
+    say(f"recommended and used: unknown = [{quoted}]")
 
 
 def _show_calibration(report: CalibrationReport, out: Path) -> None:
     for sentence in report.summary:
-        options.say(sentence)
+        say(sentence)
     if report.compared:
         _show_unknowns(report)
     rows = []
@@ -90,11 +88,9 @@ def _show_calibration(report: CalibrationReport, out: Path) -> None:
         errors = [tables.format_number(line[key], 3) for key in ("mean_px", "largest_px")]
         rows.append([name, str(line["found"]), str(line["used"]), *errors])
     tables.show(["camera or frame", "found", "used", "mean px", "largest px"], rows)
-    options.say(
-        f"residuals: {report.noise_px:.4f} px, of which neighbours share {report.misfit_px:.4f} px"
-    )
+    say(f"residuals: {report.noise_px:.4f} px, of which neighbours share {report.misfit_px:.4f} px")
     if report.true_px is not None:
-        options.say(f"expected true error, misfit included: {report.true_px:.4f} px")
+        say(f"expected true error, misfit included: {report.true_px:.4f} px")
     if held := report.held_out:
         figures = [
             (f"reprojection {held.reprojection_px:.4f} px", held.reprojection_px),
@@ -104,18 +100,14 @@ def _show_calibration(report: CalibrationReport, out: Path) -> None:
         what = "frames" if held.frames <= len(report.frames) else "points"
         lost = f" ({held.failed} fits failed)" if held.failed else ""
         good = ", ".join(text for text, measured in figures if measured)
-        options.say(f"{held.frames} {what} held out{lost}: {good}")
+        say(f"{held.frames} {what} held out{lost}: {good}")
     where = "along the wall's X and Y and its normal"
     for label, std in (("misfit included", report.std_mm), ("noise alone", report.noise_std_mm)):
         if std is not None:
             x, y, z = std
-            options.say(
-                f"expected scatter of points {where}, {label}: {x:.4f}, {y:.4f}, {z:.4f} mm"
-            )
+            say(f"expected scatter of points {where}, {label}: {x:.4f}, {y:.4f}, {z:.4f} mm")
     if report.depth_mm is not None:
-        options.say(
-            f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm"
-        )
+        say(f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm")
     walls = []
     for unknown in report.wall:
         stated = unknown.nominal, unknown.found, unknown.std
@@ -123,7 +115,7 @@ def _show_calibration(report: CalibrationReport, out: Path) -> None:
         walls.append([unknown.name, unknown.unit or "-", *values, "yes" if unknown.shown else "no"])
     if walls:
         tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], walls)
-    options.say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
+    say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
 
 
 ROWS = (
@@ -149,25 +141,25 @@ def compare_statistics(
     dataset: options.DataSet,
     recording: Annotated[
         Path,
-        options.argument(
+        argument(
             "FOLDER",
             "Images (tif, png, bmp) of your cameras, in one folder for each or all in one; or "
             "a data set.",
         ),
     ],
     frames: Annotated[
-        int, options.option("N", "Images of each camera to read, at most.", min=1, max=200)
+        int, option("N", "Images of each camera to read, at most.", min=1, max=200)
     ] = 20,
     white: Annotated[
         float | None,
-        options.option(
+        option(
             "DN",
             "Grey value of a saturated pixel of your images; by default of the bit depth.",
             min=1.0,
             max=65535.0,
         ),
     ] = None,
-    as_json: options.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Compare a data set's images with your own recordings.
 
@@ -179,7 +171,7 @@ def compare_statistics(
     data = open_dataset(dataset)
     both = measure_dataset(data, frames), measure(recording, frames, white)
     if as_json:
-        options.say_json(
+        say_json(
             dict(zip(("dataset", "recording"), (source.to_json() for source in both), strict=True))
         )
         return
@@ -190,7 +182,7 @@ def compare_statistics(
     ]
     tables.show(("median over the cameras", "data set", "recording"), rows)
     for name, source in zip(("data set", "recording"), both, strict=True):
-        options.say(f"{name}: {_describe(source)}")
+        say(f"{name}: {_describe(source)}")
 
 
 def cell(value: float | None, factor: float, decimals: int) -> str:
@@ -208,29 +200,25 @@ def _describe(measured: Measured) -> str:
 
 
 def preprocess(
-    source: Annotated[Path, options.argument("DATASET", "A data set folder, or an image file.")],
+    source: Annotated[Path, argument("DATASET", "A data set folder, or an image file.")],
     camera: Annotated[
-        str | None,
-        options.option("NAME", "Name or number of the camera; by default the first one."),
+        str | None, option("NAME", "Name or number of the camera; by default the first one.")
     ] = None,
-    frame: Annotated[int, options.option("N", "Frame, or page of an image file.", min=0)] = 0,
+    frame: Annotated[int, option("N", "Frame, or page of an image file.", min=0)] = 0,
     step: Annotated[
         list[str] | None,
-        options.option(
+        option(
             "NAME[,KEY=VALUE]",
             "Step of preprocessing, as in sliding_minimum,window_px=9; repeatable. By default "
             "the steps of the data set.",
         ),
     ] = None,
     false_alarms: Annotated[
-        float,
-        options.option("P", "Probability that noise makes a peak of a pixel.", min=1e-12, max=0.1),
+        float, option("P", "Probability that noise makes a peak of a pixel.", min=1e-12, max=0.1)
     ] = 1e-5,
-    output: Annotated[
-        Path | None, options.option("FILE", "The PNG file to create.", "-o", "--output")
-    ] = None,
-    as_json: options.AsJson = False,
-    overwrite: options.Overwrite = False,
+    output: Annotated[Path | None, output_option("FILE", "The PNG file to create.")] = None,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Preview the steps of preprocessing on one image, with the peaks in it."""
     from sabench.dataset.preprocessing_preview import preview, preview_figure
@@ -250,7 +238,7 @@ def preprocess(
         with complete_or_nothing(output, overwrite=overwrite) as file:
             file.write_bytes(draw(preview_figure(shown)))
     if as_json:
-        options.say_json([_record(stage, false_alarms) for stage in shown.stages])
+        say_json([_record(stage, false_alarms) for stage in shown.stages])
     else:
         _show(shown, false_alarms, output)
 
@@ -270,7 +258,7 @@ def _record(stage: PreviewStage, false_alarms: float) -> dict[str, object]:
 
 
 def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
-    options.say(shown.title)
+    say(shown.title)
     tables.show(
         ("after", "black", "noise", "threshold", "peaks", "false at most"),
         [
@@ -285,9 +273,9 @@ def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
             for stage in shown.stages
         ],
     )
-    options.say(
+    say(
         f"black, noise and threshold: medians over the pixels; false alarms: {false_alarms:g} per "
         "pixel at most"
     )
     if output is not None:
-        options.say(f"{output}: pictures after each step; circles mark peaks")
+        say(f"{output}: pictures after each step; circles mark peaks")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from sabench.cli import options, tables
+from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 
 if TYPE_CHECKING:
     from sabench.algorithms.refocus import Join
@@ -17,26 +18,25 @@ if TYPE_CHECKING:
 def solve(
     solver: Annotated[
         str,
-        options.argument(
+        argument(
             "SOLVER",
             "Name of a solver, or path of a program (see docs/developing/participate.md).",
             autocompletion=options.complete_solver,
         ),
     ],
     dataset: options.DataSet,
-    output: Annotated[Path, options.option("FILE", "The result file to create.", "-o", "--output")],
+    output: Annotated[Path, output_option("FILE", "The result file to create.")],
     parameter: options.ParameterPairs = None,
     time_limit: options.TimeLimit = None,
     memory_limit: options.MemoryLimit = None,
-    overwrite: options.Overwrite = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Run a solver on a data set and write its result file."""
     from sabench.dataset.verification import probe_dataset
     from sabench.tasks.solve_and_score import solve as run_solver
     from sabench.utils.processes.program import limits_of
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     probe_dataset(dataset)
     result = run_solver(
         solver,
@@ -47,39 +47,38 @@ def solve(
         overwrite=overwrite,
     )
     memory = f"{result.peak_mb:.0f} MB" if result.peak_mb else "unknown memory"
-    options.say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, at most {memory}")
+    say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, at most {memory}")
 
 
 def score(
     dataset: options.DataSet,
     result: Annotated[
         str,
-        options.argument(
+        argument(
             "RESULT", "A result file, or truth or empty for the best and worst possible scores."
         ),
     ],
     task: Annotated[
         str | None,
-        options.option(
+        option(
             "TASK",
             "Task whose scores truth and empty get, if the data set serves several.",
             autocompletion=options.complete_task,
         ),
     ] = None,
-    as_json: options.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
     from sabench.dataset.verification import probe, probe_dataset
     from sabench.tasks.solve_and_score import score as scores_of
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     probe_dataset(dataset)
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
     scores = scores_of(dataset, result, task)
     if as_json:
-        options.say_json(scores)
+        say_json(scores)
     else:
         from sabench import tasks
 
@@ -91,10 +90,10 @@ def score(
 
 def conform(
     solver: Annotated[
-        str, options.argument("SOLVER", "Name of a solver.", autocompletion=options.complete_solver)
+        str, argument("SOLVER", "Name of a solver.", autocompletion=options.complete_solver)
     ],
     parameter: options.ParameterPairs = None,
-    as_json: options.AsJson = False,
+    as_json: AsJson = False,
 ) -> None:
     """Test a solver against the laws that every solver obeys.
 
@@ -103,31 +102,26 @@ def conform(
     from dataclasses import asdict
 
     from sabench.tasks.conformance import check_solver
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     findings = []
     for finding in check_solver(solver, options.parse_parameters(parameter)):
         findings.append(finding)
         if not as_json:
-            options.say(
-                f"{finding.verdict:<8} {finding.law}{': ' + finding.text if finding.text else ''}"
-            )
+            say(f"{finding.verdict:<8} {finding.law}{': ' + finding.text if finding.text else ''}")
     if as_json:
-        options.say_json([asdict(finding) for finding in findings])
+        say_json([asdict(finding) for finding in findings])
     if any(finding.verdict == "broken" for finding in findings):
         raise typer.Exit(1)
 
 
 def refocus(
     dataset: options.DataSet,
-    output: Annotated[Path, options.option("FOLDER", "The folder to create.", "-o", "--output")],
-    surface: Annotated[
-        str, options.option("NAME", "Surface: plane, cylinder or height_map.")
-    ] = "plane",
+    output: Annotated[Path, output_option("FOLDER", "The folder to create.")],
+    surface: Annotated[str, option("NAME", "Surface: plane, cylinder or height_map.")] = "plane",
     parameter: Annotated[
         list[str] | None,
-        options.option(
+        option(
             "NAME=VALUE",
             "Set a parameter of the surface, as in center_mm=[0,0,170], turn_deg=[0,20,0], "
             "radius_mm=40 or file=wall.csv; repeatable.",
@@ -137,14 +131,14 @@ def refocus(
     ] = None,
     join: Annotated[
         str,
-        options.option(
+        option(
             "NAME",
             "How views are joined: additive, multiplicative, dark, minimum, maximum or median.",
         ),
     ] = "additive",
-    frame: Annotated[int, options.option("N", "Frame, from 0.", min=0)] = 0,
-    as_json: options.AsJson = False,
-    overwrite: options.Overwrite = False,
+    frame: Annotated[int, option("N", "Frame, from 0.", min=0)] = 0,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Refocus one frame on a plane, a cylinder or a height map."""
     from sabench.apps.surfaces import refocus as make
@@ -161,9 +155,9 @@ def refocus(
         overwrite=overwrite,
     ).summary
     if as_json:
-        options.say_json(info)
+        say_json(info)
         return
-    options.say(
+    say(
         f"{output}: {surface} of {info['rows']} x {info['columns']} pixels of "
         f"{info['pixel_mm']:g} mm, {info['seen_percent']:.1f} % seen, by {info['views_mean']:.1f} "
         "cameras on average: image.exr, image.png, points.exr, surface.json"
@@ -172,10 +166,8 @@ def refocus(
 
 def quality(
     dataset: options.DataSet,
-    result: Annotated[Path, options.argument("RESULT", "A result file of particles or volumes.")],
-    frames: Annotated[
-        int, options.option("N", "Compare the first N frames with their images.", min=1)
-    ] = 1,
+    result: Annotated[Path, argument("RESULT", "A result file of particles or volumes.")],
+    frames: Annotated[int, option("N", "Compare the first N frames with their images.", min=1)] = 1,
     again: Annotated[
         bool,
         typer.Option(
@@ -185,19 +177,16 @@ def quality(
     ] = True,
     output: Annotated[
         Path | None,
-        options.option(
-            "FOLDER", "Folder to create, with quality.json and residuals.png.", "-o", "--output"
-        ),
+        output_option("FOLDER", "Folder to create, with quality.json and residuals.png."),
     ] = None,
-    as_json: options.AsJson = False,
-    overwrite: options.Overwrite = False,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Judge a result by the images that it came from, without truth."""
     from sabench.dataset.verification import probe, probe_dataset
     from sabench.tasks.quality import quality as judge, write_quality
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     probe_dataset(dataset)
     if result.is_file():
         probe(result)
@@ -206,7 +195,7 @@ def quality(
         write_quality(dataset, judged, output, overwrite=overwrite)
     if as_json:
         record = {"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes}
-        options.say_json(record)
+        say_json(record)
     else:
         _show(judged)
 
@@ -227,27 +216,23 @@ def _show(judged: Quality) -> None:
     ]
     tables.show(("camera", *of_cameras), lines)
     for note in judged.notes:
-        options.say(f"note: {note}")
+        say(f"note: {note}")
 
 
 def view(
     what: Annotated[
         str,
-        options.argument(
+        argument(
             "RIG|DATASET|RESULT",
             "A scene file or the name of a bundled scene; cameras.json; a data set; or a "
             "result file next to its data set.",
             autocompletion=options.complete_scene,
         ),
     ],
-    result: Annotated[
-        Path | None, options.argument("RESULT", "A result file of the data set.")
-    ] = None,
-    output: Annotated[Path, options.option("FILE", "The page to create.", "-o", "--output")] = Path(
-        "view.html"
-    ),
-    as_json: options.AsJson = False,
-    overwrite: options.Overwrite = False,
+    result: Annotated[Path | None, argument("RESULT", "A result file of the data set.")] = None,
+    output: Annotated[Path, output_option("FILE", "The page to create.")] = Path("view.html"),
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Show a rig, a data set or a result in space, as one page for any browser.
 
@@ -256,19 +241,18 @@ def view(
     """
     from sabench.apps.viewer.view import view as make
     from sabench.utils.files import refuse_existing
-    from sabench.utils.progress import announce_compiling
 
-    announce_compiling()
+    options.announce_compiling()
     refuse_existing(output, overwrite=overwrite)
     page = make(what, result)
     page.save(output, overwrite=overwrite)
     if as_json:
-        options.say_json({"page": str(output), **page.summary, "notes": page.notes})
+        say_json({"page": str(output), **page.summary, "notes": page.notes})
         return
     shown = page.summary
-    options.say(
+    say(
         f"{output}: {shown['cameras']} camera(s), {shown['frames']} frame(s), {shown['particles']} "
         f"particles, {shown['bubbles']} bubbles, {shown['bytes'] / 1e6:.1f} MB"
     )
     for note in page.notes:
-        options.say(f"note: {note}")
+        say(f"note: {note}")

@@ -102,11 +102,9 @@ class SensorLevels(schema.StoredRecord):
     by_camera: tuple[tuple[float, float], ...] = ()
 
 
-class CamerasFile(schema.StoredRecord):
+class CamerasFile(schema.VersionedFile):
     """cameras.json: the observation, apart from the images."""
 
-    format: str
-    version: int
     frames: int = Field(ge=1, le=schema.MOST)  # tasks list them
     interval_s: float = Field(gt=0)
     wall: WallsRecord | None
@@ -154,23 +152,19 @@ class CamerasFile(schema.StoredRecord):
         return [pair for frames in self.sequences() for pair in itertools.pairwise(frames)]
 
 
-class TrueCamerasFile(schema.StoredRecord):
+class TrueCamerasFile(schema.VersionedFile):
     """true_cameras.json: the true cameras, where cameras.json holds others.
 
     `wall` is there where the true wall is not the nominal one.
     """
 
-    format: str
-    version: int
     wall: WallsRecord | None = None
     cameras: tuple[Camera, ...]
 
 
-class CalibratedFile(schema.StoredRecord):
+class CalibratedFile(schema.VersionedFile):
     """cameras.json of a calibration: cameras and their walls alone."""
 
-    format: str
-    version: int
     wall: WallsRecord | None = None
     cameras: tuple[CameraEntry, ...] = Field(min_length=1)
 

@@ -15,14 +15,6 @@ import numpy as np
 
 from sabench.dataset import schema
 from sabench.dataset.cameras import wall_entry, write_cameras
-from sabench.dataset.schema import (
-    FORMAT,
-    REFERENCES,
-    VERSION,
-    FileEntry,
-    StoredRecord,
-    read_versioned,
-)
 from sabench.geometry.camera_model import CameraModel
 from sabench.images.image_files import MOVIES
 from sabench.images.image_reading import RawLayout, read_page
@@ -35,7 +27,7 @@ from sabench.utils.version import __version__
 Grey = TypeVar("Grey", U16, Bool)
 
 
-class ReferencesFile(StoredRecord):
+class ReferencesFile(schema.VersionedFile):
     """images.json: files outside the data set, and the images in them.
 
     Attributes
@@ -47,11 +39,9 @@ class ReferencesFile(StoredRecord):
     images : file and number of the image in it for each frame, by the camera's name.
     """
 
-    format: str
-    version: int
     folder: str
     raw: RawLayout | None
-    files: dict[str, FileEntry]
+    files: dict[str, schema.FileEntry]
     shapes: dict[str, tuple[int, int]]
     images: dict[str, tuple[tuple[str, int], ...]]
 
@@ -62,12 +52,12 @@ class ReferencesFile(StoredRecord):
         """
         frames = self.images.get(camera, ())
         if camera not in self.shapes or not 0 <= frame < len(frames):
-            raise InputError(f"{REFERENCES}: {camera}: expected an image of frame {frame}")
+            raise InputError(f"{schema.REFERENCES}: {camera}: expected an image of frame {frame}")
         recorded = self.shapes[camera]
         if not all(0 < size <= most for size, most in zip(recorded, shape, strict=True)):
             raise InputError(
-                f"{REFERENCES}: {camera}: expected a shape of at most {shape[0]} x {shape[1]} "
-                f"pixels (rows x columns), got {recorded[0]} x {recorded[1]}"
+                f"{schema.REFERENCES}: {camera}: expected a shape of at most {shape[0]} x "
+                f"{shape[1]} pixels (rows x columns), got {recorded[0]} x {recorded[1]}"
             )
         name, page = frames[frame]
         path = self._place(name)
@@ -84,7 +74,7 @@ class ReferencesFile(StoredRecord):
             path = self._place(name)
             if not path.is_file():
                 yield f"{path}: missing"
-            elif FileEntry.of(path) != entry:
+            elif schema.FileEntry.of(path) != entry:
                 yield f"{path}: its bytes are not those that were imported"
 
     def _place(self, name: str) -> Path:
@@ -116,8 +106,8 @@ class ReferenceList:
         """Serialise the list, with the checksums of all files."""
         names = sorted({name for images in self.images.values() for name, _ in images})
         paths = {name: self.folder / name for name in names}
-        files = {name: FileEntry.of(path).model_dump() for name, path in paths.items()}
-        head = {"format": FORMAT, "version": VERSION, "folder": str(self.folder)}
+        files = {name: schema.FileEntry.of(path).model_dump() for name, path in paths.items()}
+        head = {"format": schema.FORMAT, "version": schema.VERSION, "folder": str(self.folder)}
         raw = self.raw and dataclasses.asdict(self.raw)
         lists = {"files": files, "shapes": self.shapes, "images": self.images}
         return canonical_json({**head, "raw": raw, **lists})
@@ -125,7 +115,7 @@ class ReferenceList:
 
 def read_references(root: Path) -> ReferencesFile:
     """Read the images.json of a data set."""
-    return read_versioned(ReferencesFile, inside(root, REFERENCES))
+    return schema.read_versioned(ReferencesFile, inside(root, schema.REFERENCES))
 
 
 def extended(image: Grey, shape: tuple[int, int]) -> Grey:

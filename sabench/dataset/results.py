@@ -62,6 +62,11 @@ class Result:
     isolated: bool = False
     whole_process: bool = False
 
+    @property
+    def costs(self) -> dict[str, float | None]:
+        """Costs and flags by their names in the file."""
+        return {name: getattr(self, name) for name in (*_COSTS, *_FLAGS)}
+
     def read(self, kind: type[AnEstimate], frame: int = 0) -> AnEstimate:
         """Read an estimate, by the arrays that its class declares.
 
@@ -123,40 +128,11 @@ class ResultWriter:
             self._file.flush()
         self._check()
 
-    def set_reconstruction(self, seconds: float) -> None:
-        """Store the mean seconds of the reconstruction of a frame.
-
-        Velocimetry reconstructs the frames before it measures a velocity field.
-        """
+    def set(self, **costs: float | None) -> None:
+        """Store costs and flags by their names in `Result`, but not None and False."""
+        given = {name: one for name, one in costs.items() if one is not None and one is not False}
         with hdf5.delay_interrupts():
-            self._file.attrs["reconstruction_s"] = seconds
-
-    def set_cost(
-        self,
-        seconds: float,
-        peak_mb: float | None,
-        compile_s: float | None = None,
-        cpu_share: float | None = None,
-    ) -> None:
-        """Store the cost of one frame: mean seconds and peak resident memory.
-
-        The memory is None if it is not known, as is the time of compilation, of all frames, and the
-        share of the CPU.
-        """
-        costs = {"seconds": seconds, "peak_mb": peak_mb}
-        costs |= {"compile_s": compile_s, "cpu_share": cpu_share}
-        with hdf5.delay_interrupts():
-            self._file.attrs.update({key: one for key, one in costs.items() if one is not None})
-
-    def set_isolated(self) -> None:
-        """Note that the solver was confined to the observation side of the data set."""
-        with hdf5.delay_interrupts():
-            self._file.attrs["isolated"] = 1
-
-    def set_whole_process(self) -> None:
-        """Note that the seconds include the start of a process and its files."""
-        with hdf5.delay_interrupts():
-            self._file.attrs["whole_process"] = 1
+            self._file.attrs.update({name: +one for name, one in given.items()})
 
 
 @contextlib.contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -30,17 +30,25 @@ PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # of arr
 GIVEN = "given"  # folder of files of other programs, which the scene reads
 
 
+Hash = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
 class StoredRecord(BaseModel):
     """Entry of a file of a data set."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class TargetFile(StoredRecord):
-    """target.json: the calibration target that the frames show."""
+class VersionedFile(StoredRecord):
+    """File of a data set that names its format."""
 
     format: str
     version: int
+
+
+class TargetFile(VersionedFile):
+    """target.json: the calibration target that the frames show."""
+
     target: Target
 
 
@@ -48,7 +56,7 @@ class FileEntry(StoredRecord):
     """One file's size and checksum."""
 
     bytes: int = Field(ge=0)
-    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+    sha256: Hash
 
     @classmethod
     def of(cls, path: Path) -> FileEntry:
@@ -56,17 +64,15 @@ class FileEntry(StoredRecord):
         return cls(bytes=path.stat().st_size, sha256=sha256(path))
 
 
-class Contents(StoredRecord):
+class Contents(VersionedFile):
     """Contents of a data set, or of its observation side.
 
     `content_hash` is that of the whole data set in both.
     """
 
-    format: str
-    version: int
-    content_hash: str = Field(pattern="^[0-9a-f]{64}$")
+    content_hash: Hash
     files: dict[str, FileEntry]
-    manifest_hash: str = Field(pattern="^[0-9a-f]{64}$")
+    manifest_hash: Hash
 
     @property
     def all_files(self) -> dict[str, FileEntry]:
@@ -74,19 +80,24 @@ class Contents(StoredRecord):
         return self.files
 
 
-class Manifest(Contents):
+class Origin(Contents):
+    """Contents of a data set with its truth, and its origin."""
+
+    scene: str
+    scene_hash: Hash
+    seed: int = Field(ge=0)
+    renderer: str
+    versions: dict[str, str]
+
+
+class Manifest(Origin):
     """manifest.json: contents and origin of a data set.
 
     `identity` is the same for all copies, independent of the processor: see `identity_of`. Data
     sets of before have none.
     """
 
-    scene: str
-    scene_hash: str = Field(pattern="^[0-9a-f]{64}$")
-    seed: int = Field(ge=0)
-    renderer: str
-    versions: dict[str, str]
-    identity: str | None = Field(None, pattern="^[0-9a-f]{64}$")
+    identity: Hash | None = None
 
 
 class ObservationManifest(Contents):
@@ -116,7 +127,7 @@ class ShardOrigin(StoredRecord):
     """
 
     seed: int = Field(ge=0)
-    key: str = Field(pattern="^[0-9a-f]{64}$")
+    key: Hash
     entry: ShardEntry
 
 
@@ -140,19 +151,14 @@ class ShardedContents(Contents):
         return self.files | dict(shards)
 
 
-class SamplesManifest(ShardedContents):
+class SamplesManifest(ShardedContents, Origin):
     """manifest.json of a data set of independent samples.
 
     `key` is that of the stream; `truth` lists what the shards of the truth hold.
     """
 
-    scene: str
-    scene_hash: str = Field(pattern="^[0-9a-f]{64}$")
-    seed: int = Field(ge=0)
-    renderer: str
-    key: str = Field(pattern="^[0-9a-f]{64}$")
+    key: Hash
     truth: tuple[str, ...]
-    versions: dict[str, str]
 
 
 class SamplesObservationManifest(ShardedContents):

@@ -109,10 +109,7 @@ def verify(path: str | Path) -> list[str]:
 
     Each names the file; the list is empty if the data set is intact.
 
-    Raises
-    ------
-    UncheckedError
-        A file could not be checked in the time for it, so the data set may be intact.
+    Raises UncheckedError if a file could not be checked in time, so the data set may be intact.
     """
     root = Path(path)
     if not root.is_dir():

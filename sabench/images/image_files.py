@@ -37,11 +37,8 @@ def find_image_files(folder: Path, cameras: Sequence[str], pattern: str | None =
     pattern : path below the folder with `{camera}` and `{frame}` (a number), and `*` for anything
         within a name, as in "run1/{camera}_*_{frame}.tif".
 
-    Raises
-    ------
-    InputError
-        No folder, no images in it, an invalid pattern or one that matches nothing, or two files of
-        one frame and camera.
+    Raises InputError for a missing folder, no images in it, an invalid pattern or one that matches
+    nothing, or two files of one frame and camera.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of images, got no folder")

@@ -58,11 +58,8 @@ def read_images(
     shape : rows and columns that each image must have.
     raw : layout of raw files.
 
-    Raises
-    ------
-    InputError
-        A file that is not an image, shows colours, has another size, more than 16 bits a pixel or
-        negative values; a raw file without a layout.
+    Raises InputError for a file that is not an image, shows colours, has another size, more than 16
+    bits a pixel or negative values; a raw file without a layout.
     """
     for kind, group in itertools.groupby(files, key=_kind):
         paths = list(group)

@@ -6,7 +6,7 @@ docs/formats/foreign.md lists what each format carries.
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from sabench.interop import (
     openptv_files,
     sabench_cameras,
 )
-from sabench.interop.foreign import ForeignWorld, note, unit_mm
+from sabench.interop.foreign import ForeignWorld, check_form, note, unit_mm
 from sabench.interop.lenses import Extent, check_unit, choose_indices, scaled_camera
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
@@ -74,7 +74,7 @@ def read_cameras(
     Raises InputError for an unknown format or unit, a file that is missing or broken, a camera that
     is missing, or lengths in another unit.
     """
-    _check_form(form)
+    check_form("cameras", form, CameraFormat)
     file = Path(path)
     if not file.exists():
         raise InputError(f"{file}: expected a file or folder with cameras, found none")
@@ -104,7 +104,7 @@ def write_cameras(
     Raises InputError for an unknown format, a camera that it cannot describe, or an existing
     folder.
     """
-    _check_form(form)
+    check_form("cameras", form, CameraFormat)
     check_writable(cameras, form)
     with complete_or_nothing(Path(folder), overwrite=overwrite) as partial:
         partial.mkdir()
@@ -126,27 +126,16 @@ def write_into(
         raise InputError(f"{form}: {error}") from error
     if world != ForeignWorld():
         world.write(folder)
-    lost = losses(form)
-    if lost:
+    if lost := getattr(_MODULES[form], "LOST_OF_CAMERAS", ()):
         note(f"{form}: its camera files do not carry {'; '.join(lost)}")
     return world
 
 
 def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
     """Raise an InputError if a format cannot describe some cameras."""
-    if reason := _MODULES[form].unfit(cameras):
+    unfit = getattr(_MODULES[form], "unfit", None)  # without it, a format has all cameras
+    if unfit and (reason := unfit(cameras)):
         raise InputError(f"{form}: {reason}")
-
-
-def losses(form: CameraFormat) -> tuple[str, ...]:
-    """List what a format's camera files do not carry."""
-    return tuple(_MODULES[form].LOST_OF_CAMERAS)
-
-
-def _check_form(form: str) -> None:
-    if form not in get_args(CameraFormat):
-        formats = ", ".join(get_args(CameraFormat))
-        raise InputError(f"cameras: expected a format of {formats}, got {form!r}")
 
 
 def _extent(size: tuple[int, int] | None, grid: Grid | None) -> Extent:

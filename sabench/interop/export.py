@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
+import tifffile
 
 from sabench import tasks
 from sabench.api import FoundParticles, Reconstruction
@@ -28,7 +29,7 @@ from sabench.interop.foreign import ForeignWorld, Recording, note, of_estimates,
 from sabench.interop.image_statistics import measure_frame
 from sabench.interop.openptv_files import FIRST
 from sabench.interop.tracks import TrackFormat, write_tracks
-from sabench.utils.arrays import F64, U8, Bool
+from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing
 from sabench.utils.progress import progress_bar
@@ -50,25 +51,17 @@ def _write_coco(root: Path, data: Dataset) -> None:
         bubbles = data.bubbles(frame)
         observation = data.observation(frame)
         for camera, image in zip(data.setup.cameras, observation.images, strict=True):
-            entry = _image(len(images) + 1, frame, camera)
+            name = f"images/frame_{frame:04d}-{camera.name}.png"
             light = (image - observation.black_dn) / (observation.white_dn - observation.black_dn)
-            (root / entry["file_name"]).write_bytes(_png(light))
-            images.append(entry)
+            grey = np.rint(255.0 * np.clip(light, 0.0, 1.0)).astype(np.uint8)
+            (root / name).write_bytes(cv2.imencode(".png", grey)[1].tobytes())
+            entry = {"id": len(images) + 1, "file_name": name}
+            images.append(entry | {"height": camera.rows, "width": camera.columns})
             for annotation in _annotations(bubbles, data.sight(frame, camera)):
                 ids = {"id": len(annotations) + 1, "image_id": entry["id"]}
                 annotations.append(ids | annotation)
     values = {"images": images, "annotations": annotations, "categories": [_CATEGORY]}
     (root / "annotations.json").write_text(canonical_json(values), encoding="utf-8")
-
-
-def _image(number: int, frame: int, camera: CameraModel) -> dict[str, Any]:
-    name = f"images/frame_{frame:04d}-{camera.name}.png"
-    return {"id": number, "file_name": name, "height": camera.rows, "width": camera.columns}
-
-
-def _png(light: F64) -> bytes:
-    grey: U8 = np.rint(255.0 * np.clip(light, 0.0, 1.0)).astype(np.uint8)
-    return bytes(cv2.imencode(".png", grey)[1].tobytes())
 
 
 def _annotations(bubbles: Bubbles, sight: Sight) -> Iterator[dict[str, Any]]:
@@ -83,7 +76,7 @@ def _annotations(bubbles: Bubbles, sight: Sight) -> Iterator[dict[str, Any]]:
                 "category_id": 1,
                 "iscrowd": 0,
                 "area": int(mask.sum()),
-                "bbox": _box(mask),
+                "bbox": list(cv2.boundingRect(mask.astype(np.uint8))),
                 "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
                 "bubble": identity,
                 "visible": float(sight.visible[row]),
@@ -96,12 +89,6 @@ def run_lengths(mask: Bool) -> list[int]:
     changes = np.flatnonzero(np.diff(flat.astype(np.int8))) + 1
     lengths: list[int] = np.diff([0, *changes.tolist(), len(flat)]).tolist()
     return [0, *lengths] if flat[0] else lengths
-
-
-def _box(mask: Bool) -> list[int]:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    left, top = int(columns[0]), int(rows[0])
-    return [left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1]
 
 
 NAME = "state.py"
@@ -230,7 +217,8 @@ def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:
     for frame in frames:
         images = to_8_bits(data.observation(frame).normalised_images())
         for number, image in enumerate(images, 1):
-            openptv.write_image(root / "img" / f"cam{number}.{FIRST + frame}", image)
+            path = root / "img" / f"cam{number}.{FIRST + frame}"
+            tifffile.imwrite(path, image, photometric="minisblack")
     settings = openptv.derive_settings(measure_frame(data.observation(0)))
     setup = data.setup
     span = (FIRST, FIRST + setup.frames - 1)

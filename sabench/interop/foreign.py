@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 
@@ -36,6 +37,12 @@ class ForeignFormatWarning(UserWarning):
 def note(sentence: str) -> None:
     """Warn of a loss or a change."""
     warnings.warn(ForeignFormatWarning(sentence), stacklevel=2)
+
+
+def check_form(what: str, form: str, known: Any) -> None:
+    """Raise an InputError for a format that is none of the words of a `Literal`."""
+    if form not in get_args(known):
+        raise InputError(f"{what}: expected a format of {', '.join(get_args(known))}, got {form!r}")
 
 
 def unit_mm(unit: str) -> float:

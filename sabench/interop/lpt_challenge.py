@@ -109,11 +109,6 @@ def _pinhole(camera: Projective, where: str) -> CameraModel | None:
     return replace(plain_camera(pose, focal, middle, Distortion(), PIXEL_MM), name=camera.name)
 
 
-def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Return None: every camera has pixels of points."""
-    return None
-
-
 def write_cameras(
     folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
 ) -> None:

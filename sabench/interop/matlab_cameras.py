@@ -17,14 +17,12 @@ import numpy as np
 from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens import Distortion
-from sabench.interop.foreign import ForeignWorld
 from sabench.interop.lenses import Extent, StoredCamera, camera_of_matrix, center_of
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 
 _LENS = ("K", "IntrinsicMatrix", "RadialDistortion", "TangentialDistortion", "ImageSize")
 _FIELDS = (*_LENS, "R", "t", "T", "RotationMatrix", "TranslationVector")
-LOST_OF_CAMERAS: tuple[str, ...] = ()
 Structure = dict[str, F64]
 
 
@@ -34,7 +32,9 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     Raises InputError for a missing file, no structure of a camera in it, or one without a lens or a
     place.
     """
-    structures = _structures_of_hdf5(path) if _is_hdf5(path) else _structures_of_mat(path)
+    if not path.is_file():
+        raise InputError(f"{path}: expected a .mat file, found none")
+    structures = (_structures_of_hdf5 if h5py.is_hdf5(path) else _structures_of_mat)(path)
     lenses = {"K", "IntrinsicMatrix"}
     cameras = {name: fields for name, fields in structures.items() if lenses & fields.keys()}
     if not cameras:
@@ -43,12 +43,6 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
             f"found {', '.join(structures) or 'none'}"
         )
     return [_camera(path, name, fields, extent) for name, fields in sorted(cameras.items())]
-
-
-def _is_hdf5(path: Path) -> bool:
-    if not path.is_file():
-        raise InputError(f"{path}: expected a .mat file, found none")
-    return bool(h5py.is_hdf5(path))
 
 
 def _structures_of_hdf5(path: Path) -> dict[str, Structure]:
@@ -124,10 +118,3 @@ def _shaped(where: str, fields: Structure, name: str, size: int) -> F64:
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
     """Return why cameras cannot be written: MATLAB's objects are proprietary."""
     return "expected a format that cameras can be written in, as opencv"
-
-
-def write_cameras(
-    folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
-) -> None:
-    """Refuse to write; see `unfit`."""
-    raise InputError(f"matlab: {unfit(cameras)}")

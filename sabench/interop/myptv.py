@@ -148,11 +148,6 @@ def _monomials(points: F64) -> F64:
     return np.stack([np.prod(points**power, axis=1) for power in _POWERS], axis=1)
 
 
-def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Return None: what Tsai's model cannot describe gets polynomials."""
-    return None
-
-
 def write_cameras(
     folder: Path, cameras: Sequence[CameraModel], world: foreign.ForeignWorld, points_mm: F64 | None
 ) -> None:

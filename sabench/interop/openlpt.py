@@ -265,12 +265,6 @@ def read_result(folder: Path, frames: int) -> list[FoundParticles]:
     return [table.estimate(frame) for frame in range(frames)]
 
 
-def read_particles(folder: Path, frames: int) -> list[FoundParticles]:
-    """Read the particles of every frame from a reconstruction without tracks."""
-    files = (folder / f"found_{frame:05d}.txt" for frame in range(frames))
-    return [FoundParticles(np.loadtxt(file, ndmin=2).reshape(-1, 3)) for file in files]
-
-
 def solve(folder: Path, frames: int) -> list[FoundParticles]:
     """Run OpenLPT on a project folder.
 
@@ -279,7 +273,10 @@ def solve(folder: Path, frames: int) -> list[FoundParticles]:
     python.run_module(
         "sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames
     )
-    return read_result(folder, frames) if frames >= LEAST_FRAMES else read_particles(folder, frames)
+    if frames >= LEAST_FRAMES:
+        return read_result(folder, frames)
+    files = (folder / f"found_{frame:05d}.txt" for frame in range(frames))
+    return [FoundParticles(np.loadtxt(file, ndmin=2).reshape(-1, 3)) for file in files]
 
 
 # files that OpenLPT's own programs read as the result

@@ -25,7 +25,7 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.refraction import Wall
 from sabench.interop.foreign import BRIGHT, ForeignWorld, to_8_bits
-from sabench.utils.arrays import F32, F64, I64, U8, triple
+from sabench.utils.arrays import F32, F64, I64, triple
 from sabench.utils.files import read_json
 from sabench.utils.processes import python
 
@@ -192,11 +192,6 @@ def list_media(camera: Camera) -> dict[str, Any]:
     layer = wall.layers[0] if wall.layers else None
     index, thick = (layer.index, layer.thickness_mm) if layer else (wall.fluid_index, 0.0)
     return {"n1": wall.air_index, "n2": [index], "n3": wall.fluid_index, "d": [thick]}
-
-
-def write_image(path: Path, image: U8) -> None:
-    """Write grey values (row, column) as an 8-bit TIFF file of any name."""
-    tifffile.imwrite(path, image, photometric="minisblack")
 
 
 def write_frame(folder: Path, frame: int, images: F32) -> None:

@@ -17,7 +17,6 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json
 
-LOST_OF_CAMERAS: tuple[str, ...] = ()
 _WALLS: TypeAdapter[Any] = TypeAdapter(WallsRecord | None)
 
 
@@ -45,11 +44,6 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     walls = wall if isinstance(wall, tuple) else (wall,) * len(cameras)
     check_walls(file, walls, len(cameras))
     return list(behind(walls, cameras))
-
-
-def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Return None: every camera has a record."""
-    return None
 
 
 def write_cameras(

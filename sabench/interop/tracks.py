@@ -6,7 +6,7 @@ docs/formats/foreign.md lists what each format carries.
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
 from sabench.geometry.grid import Grid
 from sabench.interop import lpt_challenge, myptv, openlpt, openptv_files
-from sabench.interop.foreign import LENGTHS_MM, Recording, TrackTable, note, read_world
+from sabench.interop.foreign import LENGTHS_MM, Recording, TrackTable, check_form, note, read_world
 from sabench.interop.named_columns import CSV, MATLAB, NETCDF, NamedColumns
 from sabench.utils.arrays import F64
 from sabench.utils.errors import LISTED, InputError, one_line
@@ -33,13 +33,6 @@ _MODULES: dict[str, ModuleType | NamedColumns] = {
 }
 
 
-def check_form(form: str) -> None:
-    """Raise an InputError for a format of tracks that is not known."""
-    if form not in get_args(TrackFormat):
-        formats = ", ".join(get_args(TrackFormat))
-        raise InputError(f"tracks: expected a format of {formats}, got {form!r}")
-
-
 def read_tracks(
     path: str | Path, form: TrackFormat, *, unit: str | None = None, interval_s: float | None = None
 ) -> TrackTable:
@@ -53,7 +46,7 @@ def read_tracks(
 
     Raises InputError for an unknown format or unit, or a file that is missing or broken.
     """
-    check_form(form)
+    check_form("tracks", form, TrackFormat)
     file = Path(path)
     if not file.exists():
         raise InputError(f"{file}: expected a file or folder with particles, found none")
@@ -66,7 +59,7 @@ def write_tracks(folder: Path, table: TrackTable, form: TrackFormat, recording: 
 
     The particles are in the world of the files.
     """
-    check_form(form)
+    check_form("tracks", form, TrackFormat)
     note(f"{form}: its files of particles do not carry {'; '.join(_MODULES[form].LOST_OF_TRACKS)}")
     _MODULES[form].write_tracks(folder, table, recording)
 

@@ -43,10 +43,7 @@ def of_data(data: Dataset, asked: str | None = None) -> Task:
     It is the one that `asked` names, or the first task for the kind of objects that the data set
     shows last.
 
-    Raises
-    ------
-    InputError
-        A task that the data set cannot serve.
+    Raises InputError for a task that the data set cannot serve.
     """
     possible = [task for task in every() if task.accepts(data)]
     default = next(task for task in possible if task.shown == data.shows[-1])

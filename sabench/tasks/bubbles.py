@@ -21,13 +21,11 @@ from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import NEAR, AnyBubbles, detection_scores, match_bubbles
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import trajectory_scores
-from sabench.plotting import pictures
 from sabench.plotting.drawing import Circles, Discs, Figure, Panel
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (
     AGREEING,
-    SHARE,
     Captions,
     Figures,
     FrameByFrame,
@@ -35,6 +33,8 @@ from sabench.tasks.task import (
     Score,
     Source,
     check_number,
+    check_tracks,
+    share,
     share_near,
 )
 from sabench.utils import memory
@@ -107,66 +107,46 @@ class BubblesTask(FrameByFrame):
     estimate = Detections
     # fmt: off
     scores = (
-        Score("f1_large", "F1, large", "", "larger", 3,
-              "harmonic mean of precision and recall, bubbles of 0.5 mm radius and more; found: "
-              "closer than half a radius", counted=True, range=SHARE),
-        Score("f1", "F1", "", "larger", 3,
-              "the same, all bubbles", counted=True, range=SHARE),
-        Score("f1_small", "F1, small", "", "larger", 3,
-              "the same, bubbles below 0.5 mm", counted=True, range=SHARE),
-        Score("precision", "precision", "", "larger", 3,
-              "share of the detections that are bubbles, one to one", counted=True, range=SHARE),
-        Score("recall", "recall", "", "larger", 3,
-              "share of the bubbles that were found", counted=True, range=SHARE),
-        Score("recall_hidden", "recall, hidden", "", "larger", 3,
-              "recall of bubbles of which the cameras see less than nine tenths, mean over "
-              "cameras", counted=True, range=SHARE),
-        Score("recall_dense", "recall, dense", "", "larger", 3,
-              "recall of bubbles around which, within 6 mm, others fill a hundredth or "
-              "more", counted=True, range=SHARE),
-        Score("radius_percent", "radius %", "%", "smaller", 2,
+        share("f1_large", 3, "harmonic mean of precision and recall, bubbles of 0.5 mm radius and "
+              "more; found: closer than half a radius", heading="F1, large"),
+        share("f1", 3, "the same, all bubbles", heading="F1"),
+        share("f1_small", 3, "the same, bubbles below 0.5 mm", heading="F1, small"),
+        share("precision", 3, "share of the detections that are bubbles, one to one"),
+        share("recall", 3, "share of the bubbles that were found"),
+        share("recall_hidden", 3, "recall of bubbles of which the cameras see less than nine "
+              "tenths, mean over cameras", heading="recall, hidden"),
+        share("recall_dense", 3, "recall of bubbles around which, within 6 mm, others fill a "
+              "hundredth or more", heading="recall, dense"),
+        Score("radius_percent", "smaller", 2,
               "median error of the radius of found bubbles of 0.5 mm and more"),
-        Score("axes_percent", "axes %", "%", "smaller", 2,
-              "median error of their semi-axes"),
-        Score("tilt_deg", "tilt deg", "deg", "smaller", 1,
+        Score("axes_percent", "smaller", 2, "median error of their semi-axes"),
+        Score("tilt_deg", "smaller", 1,
               "median error of the short axis's direction, of found bubbles flatter than 0.9"),
-        Score("plane_mm", "plane mm", "mm", "smaller", 3,
+        Score("plane_mm", "smaller", 3,
               "median error across Z of found bubbles of 0.5 mm and more"),
-        Score("depth_mm", "depth mm", "mm", "smaller", 3,
-              "median error along Z"),
-        Score("sizes_percent", "sizes %", "%", "smaller", 1,
+        Score("depth_mm", "smaller", 3, "median error along Z"),
+        Score("sizes_percent", "smaller", 1,
               "distance of the distributions of radii (Wasserstein) over the mean radius"),
-        Score("sizes_mm", "sizes mm", "mm", "smaller", 3,
-              "the same in mm: mean difference of radii of equal rank"),
-        Score("mean_percent", "mean radius %", "%", "smaller", 1,
-              "error of the mean radius of all bubbles, regardless of sign"),
-        Score("sauter_percent", "d32 %", "%", "smaller", 1,
-              "the same of the Sauter mean diameter, sum of d^3 over sum of d^2"),
-        Score("void_percent", "void %", "%", "smaller", 1,
-              "error of the volume of all bubbles"),
-        Score("penetration_percent", "Y_p %", "%", "smaller", 1,
-              "error of a jet's penetration depth, against the same analysis of the true "
-              "bubbles"),
-        Score("angle_percent", "angle %", "%", "smaller", 1,
-              "error of its spreading angle"),
-        Score("weight_percent", "A %", "%", "smaller", 1,
-              "error of A of equation 5.18"),
-        Score("width_percent", "s %", "%", "smaller", 1,
-              "error of s of equation 5.18"),
-        Score("link_recall", "link recall", "", "larger", 3,
-              "share of the bubbles found in two consecutive frames that one trajectory "
-              "joins", counted=True, range=SHARE),
-        Score("link_precision", "link precision", "", "larger", 3,
-              "share of the links between such frames that join the same bubble", counted=True,
-              range=SHARE),
-        Score("effectiveness", "effectiveness", "", "larger", 3,
-              "share of a bubble's frames in which its longest trajectory has it, mean over the "
-              "bubbles", counted=True, range=SHARE),
-        Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 2,
-              "median error of the velocity of correct links, against the true mean velocity "
-              "between the frames"),
-        Score("velocity_percent", "velocity %", "%", "smaller", 2,
-              "the same over that velocity"),
+        Score("sizes_mm", "smaller", 3, "the same in mm: mean difference of radii of equal rank"),
+        Score("mean_percent", "smaller", 1, "error of the mean radius of all bubbles, regardless "
+              "of sign", heading="mean radius %"),
+        Score("sauter_percent", "smaller", 1,
+              "the same of the Sauter mean diameter, sum of d^3 over sum of d^2", heading="d32 %"),
+        Score("void_percent", "smaller", 1, "error of the volume of all bubbles"),
+        Score("penetration_percent", "smaller", 1, "error of a jet's penetration depth, against "
+              "the same analysis of the true bubbles", heading="Y_p %"),
+        Score("angle_percent", "smaller", 1, "error of its spreading angle"),
+        Score("weight_percent", "smaller", 1, "error of A of equation 5.18", heading="A %"),
+        Score("width_percent", "smaller", 1, "error of s of equation 5.18", heading="s %"),
+        share("link_recall", 3,
+              "share of the bubbles found in two consecutive frames that one trajectory joins"),
+        share("link_precision", 3,
+              "share of the links between such frames that join the same bubble"),
+        share("effectiveness", 3, "share of a bubble's frames in which its longest trajectory has "
+              "it, mean over the bubbles"),
+        Score("velocity_mm_s", "smaller", 2, "median error of the velocity of correct links, "
+              "against the true mean velocity between the frames"),
+        Score("velocity_percent", "smaller", 2, "the same over that velocity"),
     )
     # fmt: on
     sufficient = 0.8
@@ -194,7 +174,7 @@ class BubblesTask(FrameByFrame):
     def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
         """Write the bubbles of a foreign result anew, linked if it has no trajectories."""
         every = [self.read(data, result, frame) for frame in self.frames(data)]
-        _check_all_or_none(result, every)
+        check_tracks(result, every)
         self._store(data, every, writer)
 
     def _store(self, data: Dataset, every: list[Detections], writer: ResultWriter) -> None:
@@ -239,17 +219,12 @@ class BubblesTask(FrameByFrame):
             estimates.append(estimate)
             every.append(true)
         if isinstance(source, Result):
-            _check_all_or_none(source, estimates)
+            check_tracks(source, estimates)
         numbers = trajectories(data.setup, estimates)
         times = [data.setup.time_s(frame) for frame in self.frames(data)]
         links = trajectory_scores(estimates, numbers, every, times, data.setup.sequences())
         over_time = {key: finite_or_none(value) for key, value in links.items()}
         return mean_of_each(frames) | _jet_scores(data, estimates, every) | over_time
-
-    def images(self, data: Dataset) -> bytes:
-        """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
-        case = data.observation(0)
-        return pictures.backlit(case.images, case.black_dn, case.white_dn)
 
     def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
         """Compare bubbles by the share detected in both."""
@@ -287,16 +262,6 @@ def trajectories(setup: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
         first = max((int(ids.max(initial=-1)) for ids in out), default=-1) + 1
         out.extend(first + ids for ids in part)
     return out
-
-
-def _check_all_or_none(result: Result, estimates: Sequence[Detections]) -> None:
-    """Raise an InputError for a result that has trajectories in some frames only."""
-    missing = [number for number, estimate in enumerate(estimates) if estimate.trajectory is None]
-    if 0 < len(missing) < len(estimates):
-        raise InputError(
-            f"{result.path}: {frame_group(missing[0])}/bubbles/track: "
-            "expected one in every frame or in none, found none here"
-        )
 
 
 def _jet_scores(data: Dataset, every: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:

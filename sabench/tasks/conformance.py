@@ -216,10 +216,7 @@ def check_solver(
     parameters : of the solver; the others keep their defaults.
     folder : for the data set; one that is already there is used again. None: a temporary folder.
 
-    Raises
-    ------
-    InputError
-        An unknown solver or parameter.
+    Raises InputError for an unknown solver or parameter.
     """
     plugin = plugins.load("solvers", solver)
     make_algorithm(solver, parameters or {})
@@ -343,10 +340,7 @@ class Warmed:
 def warm_up(solvers: Sequence[str] = ()) -> Iterator[Warmed]:
     """Compile the kernels of some solvers, or of all.
 
-    Raises
-    ------
-    InputError
-        An unknown solver.
+    Raises InputError for an unknown solver.
     """
     from sabench.utils.compiled import compile_s  # numba takes half a second to import
 

@@ -10,7 +10,7 @@ must write.
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -76,11 +76,8 @@ def run_program(
     sabench measures the cost here: wall seconds over the number of frames, or of pairs for
     velocities, and memory.
 
-    Raises
-    ------
-    InputError
-        No such program, a program that fails or breaks a limit, or a result that breaks
-        docs/formats/result.md.
+    Raises InputError for a missing program, a program that fails or breaks a limit, or a result
+    that breaks docs/formats/result.md.
     """
     path, limits = find_program(program), limits or ProgramLimits()
     refuse_existing(out, overwrite=overwrite)
@@ -100,38 +97,20 @@ def run_program(
             view_of_program(sandbox, dataset, path),
         )
         result = open_foreign(sandbox.result, dataset, path.name)
-        head = Head(
-            solver_name(program),
-            parameters or {},
-            sandbox.confined,
-            cost.seconds / max(1, len(tasks.of(result.task).frames(dataset))),
-            cost.peak_mb,
+        head = replace(
+            result,
+            solver=solver_name(program),
+            parameters=parameters or {},
+            seconds=cost.seconds / max(1, len(tasks.of(result.task).frames(dataset))),
+            peak_mb=cost.peak_mb,
+            reconstruction_s=None,
+            compile_s=None,
+            cpu_share=None,
+            isolated=sandbox.confined,
             whole_process=True,
         )
         copy_isolated(result, dataset, out, head, path.name, overwrite=overwrite)
     return open_result(out, dataset)
-
-
-@dataclass(frozen=True)
-class Head:
-    """Head of a rewritten result, which replaces that of its file.
-
-    Attributes
-    ----------
-    solver, parameters : as it was started.
-    isolated : whether the solver saw the observation side only.
-    seconds, peak_mb, compile_s, reconstruction_s, cpu_share, whole_process : costs, see `Result`.
-    """
-
-    solver: str
-    parameters: dict[str, Any]
-    isolated: bool = False
-    seconds: float | None = None
-    peak_mb: float | None = None
-    compile_s: float | None = None
-    reconstruction_s: float | None = None
-    cpu_share: float | None = None
-    whole_process: bool = False
 
 
 def open_foreign(path: Path, data: Dataset, name: str) -> Result:
@@ -144,7 +123,7 @@ def open_foreign(path: Path, data: Dataset, name: str) -> Result:
 
 
 def copy_isolated(
-    result: Result, data: Dataset, out: Path, head: Head, name: str, *, overwrite: bool
+    result: Result, data: Dataset, out: Path, head: Result, name: str, *, overwrite: bool
 ) -> None:
     """Write a foreign result anew, checked, by `write_anew` in a child process."""
     doing, time_s = f"result of {name}", ProgramLimits.time_s
@@ -156,28 +135,21 @@ def copy_isolated(
         clear_abandoned(out.absolute())
 
 
-def write_anew(path: Path, root: Path, out: Path, head: Head | None, overwrite: bool) -> None:
+def write_anew(path: Path, root: Path, out: Path, head: Result | None, overwrite: bool) -> None:
     """Read every value of a foreign result under all checks, and write it anew.
 
     Nothing else of the foreign file is copied.
 
     Parameters
     ----------
-    head : what is written about it; None: solver and parameters of the file, and no costs.
+    head : solver, parameters and costs to write; None: solver and parameters of the file alone.
     """
     data = open_dataset(root)
     result = open_result(path, data)
-    header = head or Head(result.solver, result.parameters)
-    task = tasks.of(result.task)
+    header, task = head or result, tasks.of(result.task)
     with result_writer(
         out, data, header.solver, task.name, header.parameters, overwrite=overwrite
     ) as writer:
         task.copy(data, result, writer)
-        if header.seconds is not None:
-            writer.set_cost(header.seconds, header.peak_mb, header.compile_s, header.cpu_share)
-        if header.reconstruction_s is not None:
-            writer.set_reconstruction(header.reconstruction_s)
-        if header.isolated:
-            writer.set_isolated()
-        if header.whole_process:
-            writer.set_whole_process()
+        if head:
+            writer.set(**head.costs)

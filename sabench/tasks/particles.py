@@ -24,7 +24,6 @@ from sabench.tasks.solver_call import SolverClock, image_sequence
 from sabench.tasks.task import (
     AGREEING,
     ANY,
-    SHARE,
     Captions,
     Figures,
     Gate,
@@ -33,11 +32,12 @@ from sabench.tasks.task import (
     Source,
     Task,
     check_number,
+    check_tracks,
+    share,
     share_near,
 )
 from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
-from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
 _NEAR_VOXELS = 0.2  # distance of a particle found with the cameras in another order
@@ -52,74 +52,54 @@ class ParticlesTask(Task):
     estimate = FoundParticles
     # fmt: off
     scores = (
-        Score("f1", "F1", "", "larger", 3,
-              "harmonic mean of precision and recall", counted=True, range=SHARE),
-        Score("precision", "precision", "", "larger", 3,
-              "share of the detections that are true, closer than 1 voxel along every axis, "
-              "one to one", counted=True, range=SHARE),
-        Score("recall", "recall", "", "larger", 3,
-              "share of the true particles that were found", counted=True, range=SHARE),
-        Score("ghost_percent", "ghost %", "%", "smaller", 1,
+        share("f1", 3, "harmonic mean of precision and recall", heading="F1"),
+        share("precision", 3, "share of the detections that are true, closer than 1 voxel along "
+              "every axis, one to one"),
+        share("recall", 3, "share of the true particles that were found"),
+        Score("ghost_percent", "smaller", 1,
               "false detections, relative to the true ones", counted=True),
-        Score("rms_px", "rms px", "px", "smaller", 3,
-              "root mean square distance of found from true particles in the images, over "
-              "cameras and pairs"),
-        Score("rms_mm", "rms mm", "mm", "smaller", 4,
-              "root mean square distance between them in space"),
-        Score("f1_area", "F1 area", "", "larger", 3,
-              "mean of F1 over matching distances of .1, .2 ... 1 voxel", counted=True,
-              hidden=True, range=SHARE),
-        Score("duplicate_percent", "duplicate %", "%", "smaller", 2,
+        Score("rms_px", "smaller", 3, "root mean square distance of found from true particles in "
+              "the images, over cameras and pairs"),
+        Score("rms_mm", "smaller", 4, "root mean square distance between them in space"),
+        share("f1_area", 3, "mean of F1 over matching distances of .1, .2 ... 1 voxel",
+              heading="F1 area", hidden=True),
+        Score("duplicate_percent", "smaller", 2,
               "further detections closer than 1 voxel to a particle that was found, relative to "
               "the particles found; they are ghosts, too", counted=True, hidden=True),
-        Score("rms_over_bound", "rms / bound", "", "smaller", 2,
-              "root mean square distance in space over the Cramer-Rao bound of each particle in "
-              "its images, with noise and neighbours; 1 at the bound", hidden=True),
-        Score("coverage_68", "coverage 68", "", "unity", 2,
-              "share of the found particles whose distance is within the claimed 68 % ellipsoid, "
-              "over .68", counted=True, hidden=True, range=ANY),
-        Score("coverage_95", "coverage 95", "", "unity", 2,
-              "the same for 95 %", counted=True, hidden=True, range=ANY),
-        Score("brier", "Brier", "", "smaller", 4,
-              "mean square of claimed probabilities less 1 for true detections, 0 for ghosts",
-              hidden=True),
-        Score("link_recall", "link recall", "", "larger", 3,
-              "share of the particles found in two consecutive frames that one trajectory "
-              "joins", counted=True, range=SHARE),
-        Score("link_precision", "link precision", "", "larger", 3,
-              "share of the links between such frames that join the same particle", counted=True,
-              range=SHARE),
-        Score("vector_recall", "vector recall", "", "larger", 3,
-              "share of the true displacements between consecutive frames that a trajectory has; "
-              "particles that were not found count as missed", counted=True, hidden=True,
-              range=SHARE),
-        Score("displacement_mm", "displacement mm", "mm", "smaller", 4,
+        Score("rms_over_bound", "smaller", 2, "root mean square distance in space over the "
+              "Cramer-Rao bound of each particle in its images, with noise and neighbours; 1 at "
+              "the bound", heading="rms / bound", hidden=True),
+        Score("coverage_68", "unity", 2, "share of the found particles whose distance is within "
+              "the claimed 68 % ellipsoid, over .68", counted=True, hidden=True, range=ANY),
+        Score("coverage_95", "unity", 2, "the same for 95 %", counted=True, hidden=True, range=ANY),
+        Score("brier", "smaller", 4, "mean square of claimed probabilities less 1 for true "
+              "detections, 0 for ghosts", heading="Brier", hidden=True),
+        share("link_recall", 3,
+              "share of the particles found in two consecutive frames that one trajectory joins"),
+        share("link_precision", 3,
+              "share of the links between such frames that join the same particle"),
+        share("vector_recall", 3, "share of the true displacements between consecutive frames that "
+              "a trajectory has; particles that were not found count as missed", hidden=True),
+        Score("displacement_mm", "smaller", 4,
               "root mean square error of these displacements", hidden=True),
-        Score("effectiveness", "effectiveness", "", "larger", 3,
-              "share of a particle's frames in which its longest trajectory has it, mean over "
-              "the particles", counted=True, range=SHARE),
-        Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 3,
-              "median error of velocities: claimed ones of found particles against the true "
-              "ones; without claims those of correct links, against the true mean velocity "
-              "between the frames"),
-        Score("velocity_percent", "velocity %", "%", "smaller", 2,
-              "the same over that velocity"),
-        Score("acceleration_percent", "acceleration %", "%", "smaller", 1,
+        share("effectiveness", 3, "share of a particle's frames in which its longest trajectory "
+              "has it, mean over the particles"),
+        Score("velocity_mm_s", "smaller", 3, "median error of velocities: claimed ones of found "
+              "particles against the true ones; without claims those of correct links, against the "
+              "true mean velocity between the frames"),
+        Score("velocity_percent", "smaller", 2, "the same over that velocity"),
+        Score("acceleration_percent", "smaller", 1,
               "median error of accelerations over the true ones, both by second differences of "
               "positions; claimed ones count where there are any", hidden=True),
-        Score("hota", "HOTA", "", "larger", 3,
-              "higher order tracking accuracy: geometric mean of the quality of detections and "
-              "of identities, averaged over matching distances up to 1 voxel", counted=True,
-              hidden=True, range=SHARE),
-        Score("complete", "complete", "", "larger", 3,
-              "share of the true trajectories that one estimated trajectory has in all frames",
-              counted=True, hidden=True, range=SHARE),
-        Score("switch_percent", "switches %", "%", "smaller", 2,
-              "changes of the estimated trajectory of a true particle, relative to true links",
-              counted=True, hidden=True),
-        Score("fragment_percent", "fragments %", "%", "smaller", 2,
-              "times that a true particle is lost and found again, relative to true links",
-              counted=True, hidden=True),
+        share("hota", 3, "higher order tracking accuracy: geometric mean of the quality of "
+              "detections and of identities, averaged over matching distances up to 1 voxel",
+              heading="HOTA", hidden=True),
+        share("complete", 3, "share of the true trajectories that one estimated trajectory has in "
+              "all frames", hidden=True),
+        Score("switch_percent", "smaller", 2, "changes of the estimated trajectory of a true "
+              "particle, relative to true links", heading="switches %", counted=True, hidden=True),
+        Score("fragment_percent", "smaller", 2, "times that a true particle is lost and found "
+              "again, relative to true links", heading="fragments %", counted=True, hidden=True),
     )
     # fmt: on
     tolerance = _TOLERANCE
@@ -219,12 +199,7 @@ class ParticlesTask(Task):
             for frame, true in enumerate(truth):
                 where = f"{source.path}: {frame_group(frame)}/particles"
                 check_number(len(estimates[frame].position_mm), len(true.position_mm), where)
-        missing = [number for number, frame in enumerate(estimates) if frame.trajectory is None]
-        if isinstance(source, Result) and 0 < len(missing) < len(estimates):
-            raise InputError(
-                f"{source.path}: {frame_group(missing[0])}/particles/track: "
-                "expected one in every frame or in none, found none here"
-            )
+            check_tracks(source, estimates)
         return particles_over_time.link_frames(data.setup, estimates)
 
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:

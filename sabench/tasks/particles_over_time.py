@@ -36,11 +36,8 @@ def find_in_each_frame(
 
     The clock runs while the solver does.
 
-    Raises
-    ------
-    InputError
-        Any error of the solver; something else than `FoundParticles` of every frame; trajectories
-        in some of them only.
+    Raises InputError for any error of the solver; something else than `FoundParticles` of every
+    frame; trajectories in some of them only.
     """
     linked = None
     for particles in answers_of_frames(algorithm, name, sequence, frames, FoundParticles, clock):

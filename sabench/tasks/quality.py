@@ -30,7 +30,7 @@ from sabench.tasks.image_evidence import (
 )
 from sabench.tasks.particles_over_time import link_frames
 from sabench.tasks.solve_and_score import solve
-from sabench.tasks.task import ANY, SHARE, Figures, Score
+from sabench.tasks.task import ANY, Figures, Score, share
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing
@@ -38,23 +38,20 @@ from sabench.utils.progress import progress_bar
 
 # fmt: off
 FIGURES = {score.key: score for score in (
-    Score("residual_px", "residual px", "px", "smaller", 3,
+    Score("residual_px", "smaller", 3,
           "RMS distance of particles' images from their projections, px"),
-    Score("explained", "explained", "", "larger", 3,
+    Score("explained", "larger", 3,
           "share of the images' light that the result explains", range=ANY),
-    Score("held_out", "held out", "", "larger", 3,
-          "share of particles found without a camera that this camera shows", counted=True,
-              range=SHARE),
-    Score("held_out_correlation", "held-out correlation", "", "larger", 3,
-          "correlation of an image with the others' prediction", range=ANY),
-    Score("ghost_percent", "expected ghosts %", "%", "smaller", 2,
-          "expected ghosts, relative to true particles, %", counted=True),
-    Score("chance_percent", "chance %", "%", "smaller", 2,
+    share("held_out", 3, "share of particles found without a camera that this camera shows"),
+    Score("held_out_correlation", "larger", 3, "correlation of an image with the others' "
+          "prediction", heading="held-out correlation", range=ANY),
+    Score("ghost_percent", "smaller", 2, "expected ghosts, relative to true particles, %",
+          heading="expected ghosts %", counted=True),
+    Score("chance_percent", "smaller", 2,
           "found with a scrambled camera, relative to what is found, %", counted=True),
-    Score("jitter_mm", "jitter mm", "mm", "smaller", 4,
+    Score("jitter_mm", "smaller", 4,
           "scatter of positions along an axis, from jitter of trajectories, mm"),
-    Score("followed", "followed", "", "larger", 3,
-          "share of particles in trajectories of three frames or more", counted=True, range=SHARE),
+    share("followed", 3, "share of particles in trajectories of three frames or more"),
 )}
 # fmt: on
 
@@ -100,10 +97,8 @@ def quality(
     solve_again : run the solver again without each camera, and with each one scrambled; without
         it, the figures that need that are None.
 
-    Raises
-    ------
-    InputError
-        A result of another data set, or of another task than particles or reconstruction.
+    Raises InputError for a result of another data set, or of another task than particles or
+    reconstruction.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     opened = open_result(result, data)

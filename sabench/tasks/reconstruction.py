@@ -1,5 +1,6 @@
 """Task `reconstruction`: solvers turn one observation into one volume."""
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,7 +27,6 @@ from sabench.tasks.solver_call import (
 from sabench.tasks.task import (
     ALIKE,
     PERCENT,
-    SHARE,
     Captions,
     Figures,
     FrameByFrame,
@@ -37,6 +37,7 @@ from sabench.tasks.task import (
     check_estimate,
     check_number,
     correlation,
+    share,
 )
 from sabench.utils import memory
 from sabench.utils.errors import InputError
@@ -51,49 +52,77 @@ PARTICLE_IMAGES = (
 _TOLERANCE = MatchingCurve("peak_f1", "peak F1", "voxel", MATCHING_DISTANCES)
 
 
-class ReconstructionTask(FrameByFrame):
+class VolumeTask(FrameByFrame):
+    """Base of tasks with a volume for each frame."""
+
+    estimate = Reconstruction
+
+    def check_case(self, case: Observation, source: str) -> None:
+        """Raise an InputError for a saturated image, or a grid out of memory or of view.
+
+        A black image passes.
+        """
+        for camera, image in zip(case.cameras, case.images, strict=True):
+            if image.min() >= case.white_dn:
+                raise InputError(
+                    f"{source}: {camera.name}: expected an image that shows something, "
+                    f"but every pixel is saturated ({case.white_dn:g} or more)"
+                )
+        check_memory(case, source)
+        if not any_in_view(case.cameras, lattice_of(case.grid)):
+            raise InputError(
+                f"{source}: grid: expected it in view of at least one camera, "
+                f"but no camera of {len(case.cameras)} sees any of it"
+            )
+
+    def empty(self, data: Dataset, frame: int) -> Reconstruction:
+        """Make a dark volume."""
+        return Reconstruction(np.zeros(data.setup.grid.shape, dtype=np.float32))
+
+    def score(self, data: Dataset, source: Source) -> Figures:
+        """Average the scores of the frames that have them."""
+        frames = progress_bar(self.frames(data), "score")
+        return mean_of_each([self._score_frame(data, source, frame) for frame in frames])
+
+    @abstractmethod
+    def _score_frame(self, data: Dataset, source: Source, frame: int) -> Figures:
+        """Score the volume of a frame."""
+
+    def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
+        """Compare volumes by their correlation: MART and its kin depend on the order."""
+        return correlation(one.volume, other.volume) > ALIKE
+
+
+class ReconstructionTask(VolumeTask):
     """Reconstruction of every frame's volume of intensities."""
 
     name = "reconstruction"
     shown = "particles"
-    estimate = Reconstruction
     # fmt: off
     scores = (
-        Score("q", "Q", "", "larger", 3,
-              "quality factor, the correlation of the reconstructed with the true intensity: "
-              "1 is perfect", range=(-1.0, 1.0)),
-        Score("peak_f1", "peak F1", "", "larger", 3,
-              "harmonic mean of peak precision and peak recall: it does not depend on the blobs' "
-              "shape", counted=True, range=SHARE),
-        Score("intensity_error", "intensity error", "", "smaller", 3,
-              "relative root mean square error of the blobs' intensities over the true particles; "
-              "lost ones are dark"),
-        Score("true_percent", "true %", "%", "larger", 1,
-              "share of the true particles that were found within 1.5 voxels", counted=True,
-              range=PERCENT),
-        Score("ghost_percent", "ghost %", "%", "smaller", 1,
+        Score("q", "larger", 3, "quality factor, the correlation of the reconstructed with the "
+              "true intensity: 1 is perfect", heading="Q", range=(-1.0, 1.0)),
+        share("peak_f1", 3, "harmonic mean of peak precision and peak recall: it does not depend "
+              "on the blobs' shape", heading="peak F1"),
+        Score("intensity_error", "smaller", 3, "relative root mean square error of the blobs' "
+              "intensities over the true particles; lost ones are dark"),
+        Score("true_percent", "larger", 1, "share of the true particles that were found within 1.5 "
+              "voxels", counted=True, range=PERCENT),
+        Score("ghost_percent", "smaller", 1,
               "false detections, relative to the true ones", counted=True),
-        Score("precision", "precision", "", "larger", 3,
-              "share of the detections that are true, closer than 1 voxel along every axis, "
-              "one to one", counted=True, range=SHARE),
-        Score("recall", "recall", "", "larger", 3,
-              "share of the true particles that were found, by the same rule", counted=True,
-              range=SHARE),
-        Score("rms_px", "rms px", "voxel", "smaller", 3,
-              "root mean square distance between the pairs of that rule"),
-        Score("peak_true_percent", "peak true %", "%", "larger", 1,
-              "true %, with particles found as local maxima: touching ones count as "
-              "two", counted=True, range=PERCENT),
-        Score("peak_ghost_percent", "peak ghost %", "%", "smaller", 1,
+        share("precision", 3, "share of the detections that are true, closer than 1 voxel along "
+              "every axis, one to one"),
+        share("recall", 3, "share of the true particles that were found, by the same rule"),
+        Score("rms_px", "smaller", 3,
+              "root mean square distance between the pairs of that rule", unit="voxel"),
+        Score("peak_true_percent", "larger", 1, "true %, with particles found as local maxima: "
+              "touching ones count as two", counted=True, range=PERCENT),
+        Score("peak_ghost_percent", "smaller", 1,
               "ghost %, with particles found as local maxima", counted=True),
-        Score("peak_precision", "peak precision", "", "larger", 4,
-              "precision, with particles found as local maxima", counted=True, hidden=True,
-              range=SHARE),
-        Score("peak_recall", "peak recall", "", "larger", 4,
-              "recall, with particles found as local maxima", counted=True, hidden=True,
-              range=SHARE),
-        Score("peak_rms_px", "peak rms px", "voxel", "smaller", 4,
-              "rms px, with particles found as local maxima", hidden=True),
+        share("peak_precision", 4, "precision, with particles found as local maxima", hidden=True),
+        share("peak_recall", 4, "recall, with particles found as local maxima", hidden=True),
+        Score("peak_rms_px", "smaller", 4,
+              "rms px, with particles found as local maxima", unit="voxel", hidden=True),
     )
     # fmt: on
     tolerance = _TOLERANCE
@@ -155,19 +184,11 @@ class ReconstructionTask(FrameByFrame):
             yield volume
         clock.seconds = max(clock.seconds - reader.seconds, 0.0)
 
-    def check_case(self, case: Observation, source: str) -> None:
-        """Raise an InputError for an observation that no solver can use."""
-        check_frame(case, source)
-
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make the synthesised field, with the true positions."""
         particles = data.particles(frame)
         volume = true_field(data.setup.grid, particles, data.views(frame))
         return Reconstruction(volume, particles.position_mm)
-
-    def empty(self, data: Dataset, frame: int) -> Reconstruction:
-        """Make a dark volume."""
-        return Reconstruction(np.zeros(data.setup.grid.shape, dtype=np.float32))
 
     def wrong(self, data: Dataset, frame: int) -> Reconstruction:
         """Move the true field by less than a voxel, and add a fainter copy of a part."""
@@ -176,11 +197,6 @@ class ReconstructionTask(FrameByFrame):
         ghosts[:, :, : true.shape[2] // 2] = 0.0
         volume = 0.6 * true + 0.4 * np.roll(true, 1, axis=2) + 0.5 * ghosts
         return Reconstruction(np.asarray(volume, dtype=np.float32))
-
-    def score(self, data: Dataset, source: Source) -> Figures:
-        """Average the scores of the frames that have them."""
-        frames = progress_bar(self.frames(data), "score")
-        return mean_of_each([self._score_frame(data, source, frame) for frame in frames])
 
     def score_iterations(self, data: Dataset, result: Result) -> list[list[float]]:
         """Compute [iteration, seconds, Q] of the first frame's estimates on the way."""
@@ -201,10 +217,6 @@ class ReconstructionTask(FrameByFrame):
         scores = score_frame(grid, particles, data.views(frame), estimate)
         return scores | _TOLERANCE.figures(curve)
 
-    def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
-        """Compare volumes by their correlation: MART and its kin depend on the order."""
-        return correlation(one.volume, other.volume) > ALIKE
-
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw a slice of the first frame's volume as a PNG."""
         grid = data.setup.grid
@@ -221,25 +233,6 @@ class ReconstructionTask(FrameByFrame):
 def with_bar(picture: bytes, grid: Grid) -> bytes:
     """Draw a scale bar into the picture of a slice of a grid."""
     return pictures.with_scale_bar(picture, pictures.slice_voxels(grid.scored) * grid.voxel_mm[0])
-
-
-def check_frame(case: Observation, source: str) -> None:
-    """Raise an InputError for a saturated image, or a grid out of memory or of view.
-
-    A black image passes.
-    """
-    for camera, image in zip(case.cameras, case.images, strict=True):
-        if image.min() >= case.white_dn:
-            raise InputError(
-                f"{source}: {camera.name}: expected an image that shows something, "
-                f"but every pixel is saturated ({case.white_dn:g} or more)"
-            )
-    check_memory(case, source)
-    if not any_in_view(case.cameras, lattice_of(case.grid)):
-        raise InputError(
-            f"{source}: grid: expected it in view of at least one camera, "
-            f"but no camera of {len(case.cameras)} sees any of it"
-        )
 
 
 def check_memory(case: Observation, source: str) -> None:

@@ -6,11 +6,10 @@ A code behind bubbles is to be read in the planes.
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.api import Code, Observation, Reconstruction
+from sabench.api import Code, Reconstruction
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
 from sabench.geometry.grid import Grid
-from sabench.metrics.averages import mean_of_each
 from sabench.metrics.code_reading import (
     compare_with_single_views,
     read_right,
@@ -18,45 +17,30 @@ from sabench.metrics.code_reading import (
     single_views,
 )
 from sabench.plotting import pictures
-from sabench.tasks.reconstruction import check_frame
-from sabench.tasks.task import (
-    ALIKE,
-    ANY,
-    PERCENT,
-    Captions,
-    Figures,
-    FrameByFrame,
-    Gate,
-    Score,
-    Source,
-    correlation,
-)
+from sabench.tasks.reconstruction import VolumeTask
+from sabench.tasks.task import ANY, PERCENT, Captions, Figures, Gate, Score, Source
 from sabench.utils.arrays import F32, F64, I64
-from sabench.utils.progress import progress_bar
 from sabench.worlds.bubbles_and_bodies import code_of
 
 
-class SeeThroughTask(FrameByFrame):
+class SeeThroughTask(VolumeTask):
     """Reading of a code through the bubbles in front of it."""
 
     name = "see_through"
     shown = "code"
-    estimate = Reconstruction
     # fmt: off
     scores = (
-        Score("read_percent", "read %", "%", "larger", 1,
-              "share of correctly read cells of a code behind bubbles, in its plane; guessing "
-              "gives 50", counted=True, range=PERCENT),
-        Score("separation", "d'", "", "larger", 2,
-              "difference of the mean bright and dark cells over their scatter", range=ANY),
-        Score("contrast", "contrast", "", "larger", 3,
-              "difference of these means over their sum", range=ANY),
-        Score("single_percent", "single views, read %", "%", "steady", 1,
-              "read % of single images, mean over the cameras", range=PERCENT),
-        Score("best_single_percent", "best view, read %", "%", "steady", 1,
-              "read % of the best single image", range=PERCENT),
-        Score("single_separation", "single views, d'", "", "steady", 2,
-              "d' of single images, mean over the cameras", range=ANY),
+        Score("read_percent", "larger", 1, "share of correctly read cells of a code behind "
+              "bubbles, in its plane; guessing gives 50", counted=True, range=PERCENT),
+        Score("separation", "larger", 2, "difference of the mean bright and dark cells over their "
+              "scatter", heading="d'", range=ANY),
+        Score("contrast", "larger", 3, "difference of these means over their sum", range=ANY),
+        Score("single_percent", "steady", 1, "read % of single images, mean over the cameras",
+              heading="single views, read %", range=PERCENT),
+        Score("best_single_percent", "steady", 1,
+              "read % of the best single image", heading="best view, read %", range=PERCENT),
+        Score("single_separation", "steady", 2,
+              "d' of single images, mean over the cameras", heading="single views, d'", range=ANY),
     )
     # fmt: on
     sufficient = 90.0
@@ -71,18 +55,10 @@ class SeeThroughTask(FrameByFrame):
         "bright and read as dark.",
     )
 
-    def check_case(self, case: Observation, source: str) -> None:
-        """Raise an InputError for an observation that no solver can use."""
-        check_frame(case, source)
-
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make planes that are bright where the code is."""
         code, volume = _code(data, frame), np.zeros(data.setup.grid.shape, dtype=np.float32)
         return Reconstruction(_brighten(data.setup.grid, volume, code, 1.0))
-
-    def empty(self, data: Dataset, frame: int) -> Reconstruction:
-        """Make dark planes."""
-        return Reconstruction(np.zeros(data.setup.grid.shape, dtype=np.float32))
 
     def wrong(self, data: Dataset, frame: int) -> Reconstruction:
         """Make noise that is darker where the code is dark."""
@@ -90,16 +66,11 @@ class SeeThroughTask(FrameByFrame):
         volume = rng.random(data.setup.grid.shape, dtype=np.float32)
         return Reconstruction(_brighten(data.setup.grid, volume, _code(data, frame), 0.5))
 
-    def score(self, data: Dataset, source: Source) -> Figures:
-        """Average the scores of the frames; single cameras are scored for comparison."""
-        frames = progress_bar(self.frames(data), "score")
-        return mean_of_each([self._score_frame(data, source, frame) for frame in frames])
-
-    def _score_frame(self, data: Dataset, source: Source, frame: int) -> dict[str, float]:
+    def _score_frame(self, data: Dataset, source: Source, frame: int) -> Figures:
         code = _code(data, frame)
         images = data.observation(frame).images
         single = single_views(images, data.true_cameras, code.points_mm)
-        return compare_with_single_views(self._cells(data, source, frame), single, code.dark)
+        return {**compare_with_single_views(self._cells(data, source, frame), single, code.dark)}
 
     def _cells(self, data: Dataset, source: Source, frame: int) -> F64:
         """Average the brightness (cell,) of each cell in the planes; the truth is exact."""
@@ -110,20 +81,11 @@ class SeeThroughTask(FrameByFrame):
             return np.zeros(len(code.dark))
         return read_volume(data.setup.grid, self.read(data, source, frame).volume, code.points_mm)
 
-    def images(self, data: Dataset) -> bytes:
-        """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
-        case = data.observation(0)
-        return pictures.backlit(case.images, case.black_dn, case.white_dn)
-
-    def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
-        """Compare planes by their correlation: MART and its kin depend on the order."""
-        return correlation(one.volume, other.volume) > ALIKE
-
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the code's plane in an estimate, or the code itself, as a PNG."""
         code = _code(data, 0)
         if not isinstance(source, Result):
-            return pictures.grey_picture(draw_code(code))
+            return pictures.grey_picture(np.where(code.dark[_nearest(code)], 0.0, 1.0))
         plane = code_plane(data.setup.grid, self.read(data, source, 0).volume, code)
         return pictures.grey_picture(plane)
 
@@ -162,11 +124,6 @@ def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
     )
     middle = int(np.clip(np.rint(voxels[:, 2].mean()), 0, size[2] - 1))
     return np.asarray(volume[middle, low[1] : high[1] + 1, low[0] : high[0] + 1], dtype=np.float64)
-
-
-def draw_code(code: Code) -> F64:
-    """Draw the code as seen along Z: 0 where it is dark, 1 elsewhere."""
-    return np.where(code.dark[_nearest(code)], 0.0, 1.0)
 
 
 def _nearest(code: Code) -> I64:

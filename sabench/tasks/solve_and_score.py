@@ -7,6 +7,7 @@ import functools
 import os
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -73,11 +74,8 @@ def solve(
     iterations : store the first frame's estimates on the way, too, of plug-ins that have them.
     overwrite : replace an existing result.
 
-    Raises
-    ------
-    InputError
-        An unknown solver or parameter, a broken data set or one of another task, and anything that
-        the task's `run` refuses.
+    Raises InputError for an unknown solver or parameter, a broken data set or one of another task,
+    and anything that the task's `run` refuses.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if external_programs.is_program(solver):
@@ -113,16 +111,8 @@ def solve(
         else:
             result = external_programs.open_foreign(sandbox.result, data, solver)
             check_result_task(result.task, task, doing)
-            head = external_programs.Head(
-                solver,
-                result.parameters,
-                sandbox.confined,
-                result.seconds,
-                result.peak_mb,
-                result.compile_s,
-                result.reconstruction_s,
-                result.cpu_share,
-            )
+            confined = sandbox.confined
+            head = replace(result, solver=solver, isolated=confined, whole_process=False)
             external_programs.copy_isolated(result, data, place, head, solver, overwrite=overwrite)
     return open_result(out, data)
 
@@ -181,13 +171,12 @@ def run_plug_in(
         result_writer(out, data, solver, algorithm.task, resolved) as writer,
     ):
         writer.keeps_iterations = iterations
-        if isolated:
-            writer.set_isolated()
         before, start, spent = compile_s(), time.perf_counter(), _cpu_s()
         seconds = tasks.of(algorithm.task).run(algorithm, solver, data, writer)
         share = (_cpu_s() - spent) / (time.perf_counter() - start)
         mean_s = float(np.mean(seconds))
-        writer.set_cost(mean_s, memory.peak_mb(), compile_s() - before, share)
+        costs = {"seconds": mean_s, "peak_mb": memory.peak_mb(), "cpu_share": share}
+        writer.set(**costs, compile_s=compile_s() - before, isolated=isolated)
 
 
 def _cpu_s() -> float:
@@ -212,11 +201,8 @@ def score(
     A flat dict: dataset, task, solver, parameters, the task's scores and costs (`costs_of`); None
     where a score does not apply.
 
-    Raises
-    ------
-    InputError
-        A data set without truth, or a file that is not a result of this data set, or has a wrong
-        shape or values that are not finite.
+    Raises InputError for a data set without truth, or a file that is not a result of this data set,
+    or has a wrong shape or values that are not finite.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     _ = data.manifest  # raises where there is no truth

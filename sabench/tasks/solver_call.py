@@ -104,10 +104,8 @@ def call_solver(
     -------
     Its answer, and the seconds that it took without those of compiling its kernels.
 
-    Raises
-    ------
-    InputError
-        A solver that declines, raises, or returns something else than an `expected`.
+    Raises InputError for a solver that declines, raises, or returns something else than an
+    `expected`.
     """
     clock = SolverClock()
     with clock.running(name, where):
@@ -160,10 +158,8 @@ def answers_of_frames(
 
     The clock runs while the solver does.
 
-    Raises
-    ------
-    InputError
-        Any error of the solver; something else than an `expected` for every frame.
+    Raises InputError for any error of the solver; something else than an `expected` for every
+    frame.
     """
     every = f"frames {frames[0]} to {frames[-1]}" if len(frames) > 1 else f"frame {frames[0]}"
     where = f" on {every}"

@@ -12,9 +12,10 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from sabench.api.estimates import Estimate
+from sabench.api.estimates import Detections, Estimate, FoundParticles
 from sabench.api.observations import Observation, Shown
 from sabench.api.solvers import AnySolver, TaskName
+from sabench.dataset.arrays import group_of
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.plotting import pictures
@@ -37,6 +38,13 @@ ANY = (-LARGEST, LARGEST)
 ERROR, SHARE, PERCENT = (0.0, LARGEST), (0.0, 1.0), (0.0, 100.0)
 
 
+# units of scores by the ends of their keys
+_UNITS = {
+    "_percent": "%", "_mm_s": "mm/s", "_1_s": "1/s", "_mm": "mm", "_px": "px", "_deg": "deg",
+    "_voxel": "voxel", "_s": "s",
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Score:
     """One score of a task.
@@ -44,26 +52,39 @@ class Score:
     Attributes
     ----------
     key : its name in records, baselines and JSON.
-    heading : of its column in tables.
-    unit : "" for numbers without a unit.
     better : the direction of improvement: towards larger or smaller absolute values, towards 1, or
         neither ("steady": it describes the data, and any change is worth a look).
     decimals : shown in tables.
     meaning : one phrase.
+    heading, unit : of its column in tables; by default as the key says, "z mean mm" for z_mean_mm.
     counted : whether it is a share of things that are counted, and so changes in steps.
     hidden : whether tables leave it out.
     range : smallest and largest possible value; by default that of an unsigned error.
     """
 
     key: str
-    heading: str
-    unit: str
     better: Better
     decimals: int
     meaning: str
+    heading: str = ""
+    unit: str = ""
     counted: bool = False
     hidden: bool = False
     range: tuple[float, float] = ERROR
+
+    def __post_init__(self) -> None:
+        end = next((end for end in _UNITS if self.key.endswith(end)), "")
+        unit = _UNITS.get(end, "")
+        heading = f"{self.key.removesuffix(end).replace('_', ' ')} {unit}".strip()
+        object.__setattr__(self, "unit", self.unit or unit)
+        object.__setattr__(self, "heading", self.heading or heading)
+
+
+def share(
+    key: str, decimals: int, meaning: str, heading: str = "", *, hidden: bool = False
+) -> Score:
+    """Make the score of a share of things that are counted, the larger, the better."""
+    return Score(key, "larger", decimals, meaning, heading, "", True, hidden, SHARE)
 
 
 @dataclass(frozen=True)
@@ -91,19 +112,11 @@ class Gate:
 
 
 COSTS = (
-    Score("seconds", "seconds", "s", "smaller", 2, "time of the solver alone"),
-    Score("peak_mb", "peak MB", "MB", "smaller", 0, "largest memory of the solver's process"),
-    Score(
-        "compile_s",
-        "compile s",
-        "s",
-        "steady",
-        1,
-        "time in which kernels were compiled or loaded, no part of the seconds",
-        hidden=True,
-        range=ANY,
-    ),
-)
+    Score("seconds", "smaller", 2, "time of the solver alone", unit="s"),
+    Score("peak_mb", "smaller", 0, "largest memory of the solver's process", "peak MB", "MB"),
+    Score("compile_s", "steady", 1, "time in which kernels were compiled or loaded, no part of the "
+          "seconds", hidden=True, range=ANY),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -126,12 +139,12 @@ class MatchingCurve:
     @cached_property
     def scores(self) -> tuple[Score, ...]:
         """The curve's values as scores, which records have and tables do not."""
+        meaning = "a point of the curve over the matching distance"
+        within = {f"{radius:g}": f"within {radius:g} {self.unit}" for radius in self.distances}
         return tuple(
-            Score(f"{self.of}_within_{radius:g}", f"{self.heading} within {radius:g} {self.unit}",
-                  "", "larger", 3, "a point of the curve over the matching distance",
-                  counted=True, hidden=True, range=SHARE)
-            for radius in self.distances
-        )  # fmt: skip
+            share(f"{self.of}_within_{key}", 3, meaning, f"{self.heading} {words}", hidden=True)
+            for key, words in within.items()
+        )
 
     def figures(self, values: F64) -> Figures:
         """Name the values of the curve."""
@@ -251,10 +264,8 @@ class Task(ABC):
         -------
         Seconds of every call, or of every frame.
 
-        Raises
-        ------
-        InputError
-            A solver that declines, raises, or returns something else than the task's estimate.
+        Raises InputError for a solver that declines, raises, or returns something else than the
+        task's estimate.
         """
 
     def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
@@ -304,8 +315,9 @@ class Task(ABC):
 
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera as a PNG."""
-        case = data.observation(0)
-        return pictures.montage(case.images, case.black_dn, case.white_dn)
+        case, backlit = data.observation(0), self.shown in ("bubbles", "code")
+        draw = pictures.backlit if backlit else pictures.montage
+        return draw(case.images, case.black_dn, case.white_dn)
 
     @abstractmethod
     def picture(self, data: Dataset, source: Source) -> bytes:
@@ -379,6 +391,16 @@ def check_number(found: int, true: int, where: str) -> None:
         raise InputError(
             f"{where}: expected at most {most} detections, {_TIMES} for each of those that there "
             f"are and of {_TIMES} more, got {found}"
+        )
+
+
+def check_tracks(result: Result, estimates: Sequence[Detections | FoundParticles]) -> None:
+    """Raise an InputError for a result that has trajectories in some frames only."""
+    missing = [number for number, one in enumerate(estimates) if one.trajectory is None]
+    if 0 < len(missing) < len(estimates):
+        group = group_of(type(estimates[0]), missing[0])
+        raise InputError(
+            f"{result.path}: {group}/track: expected one in every frame or in none, found none here"
         )
 
 

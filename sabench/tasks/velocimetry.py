@@ -227,30 +227,23 @@ class VelocimetryTask(Task):
     estimate = Velocity
     # fmt: off
     scores = (
-        Score("rms_voxel", "rms voxel", "voxel", "smaller", 3,
-              "root mean square length of the error"),
-        Score("u_p90_voxel", "u 90 % voxel", "voxel", "smaller", 3,
-              "half width of the interval about zero that holds 90 % of the errors of the "
-              "displacement along X"),
-        Score("v_p90_voxel", "v 90 % voxel", "voxel", "smaller", 3,
-              "the same along Y"),
-        Score("w_p90_voxel", "w 90 % voxel", "voxel", "smaller", 3,
-              "the same along Z"),
-        Score("bias_voxel", "bias voxel", "voxel", "smaller", 4,
-              "length of the mean error", range=ANY),
-        Score("yield_percent", "yield %", "%", "larger", 1,
-              "share of the evaluation nodes at which the velocity was measured", counted=True,
-              range=PERCENT),
-        Score("response", "response", "", "unity", 3,
+        Score("rms_voxel", "smaller", 3, "root mean square length of the error"),
+        Score("u_p90_voxel", "smaller", 3, "half width of the interval about zero that holds 90 % "
+              "of the errors of the displacement along X", heading="u 90 % voxel"),
+        Score("v_p90_voxel", "smaller", 3, "the same along Y", heading="v 90 % voxel"),
+        Score("w_p90_voxel", "smaller", 3, "the same along Z", heading="w 90 % voxel"),
+        Score("bias_voxel", "smaller", 4, "length of the mean error", range=ANY),
+        Score("yield_percent", "larger", 1, "share of the evaluation nodes at which the velocity "
+              "was measured", counted=True, range=PERCENT),
+        Score("response", "unity", 3,
               "the part of the true field's variation that is found", range=ANY),
-        Score("divergence_1_s", "divergence 1/s", "1/s", "smaller", 3,
+        Score("divergence_1_s", "smaller", 3,
               "root mean square error of the divergence, by central differences"),
-        Score("vorticity_percent", "vorticity %", "%", "smaller", 1,
+        Score("vorticity_percent", "smaller", 1,
               "root mean square error of the vorticity over its own root mean square"),
-        Score("reconstruction_s", "reconstruction s", "s", "smaller", 2,
-              "time of the reconstruction of one frame"),
+        Score("reconstruction_s", "smaller", 2, "time of the reconstruction of one frame"),
         *(
-            Score(f"{name}_{kind}_voxel", f"{name} {kind} voxel", "voxel", "smaller", 4,
+            Score(f"{name}_{kind}_voxel", "smaller", 4,
                   f"{word} of the displacement along {axis}", hidden=True, range=limits)
             for kind, word, limits in (
                 ("bias", "mean error", ANY),
@@ -310,7 +303,7 @@ class VelocimetryTask(Task):
             writer.add(field, pair[0])
             memory.trim()
         if volumes:
-            writer.set_reconstruction(float(np.mean(volumes.seconds)))
+            writer.set(reconstruction_s=float(np.mean(volumes.seconds)))
         return seconds
 
     def seen_by(self, plugin: type[AnySolver]) -> str:

@@ -18,7 +18,7 @@ from sabench.api.solvers import TaskName
 from sabench.dataset import schema
 from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.results import result_writer
+from sabench.dataset.results import Result, result_writer
 from sabench.dataset.verification import probe, probe_dataset, verify
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.runner import build_board
@@ -26,7 +26,7 @@ from sabench.evaluation.suite_loading import load_suite
 from sabench.interop.export import export
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
-from sabench.tasks.external_programs import Head, write_anew
+from sabench.tasks.external_programs import write_anew
 from sabench.tasks.solve_and_score import run_plug_in, score, solve
 from sabench.utils.errors import InputError
 from sabench.utils.files import sha256
@@ -177,7 +177,7 @@ def _result(task: TaskName, data: Dataset, path: Path) -> Path:
     with result_writer(path, data, "made", task, {"k": 1}) as writer:
         for frame in tasks.of(task).frames(data):
             writer.add(_estimate(task, data, frame), frame)
-        writer.set_cost(1.0, 2.0)
+        writer.set(seconds=1.0, peak_mb=2.0)
     return path
 
 
@@ -391,7 +391,9 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         check_scores(score(root, path))
 
     def adopted(root: Path, out: Path) -> None:
-        write_anew(path, root, out / "adopted.h5", Head("program", {}, True, 1.0, 2.0), False)
+        grid = data.setup.grid
+        head = Result(path, "particles", "program", {}, 1.0, 2.0, grid, isolated=True)
+        write_anew(path, root, out / "adopted.h5", head, False)
 
     def exported(root: Path, out: Path) -> None:
         export(root, out / "vtk", path)

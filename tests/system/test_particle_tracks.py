@@ -182,7 +182,7 @@ def test_a_solver_may_yield_frames_one_after_the_other(
             written.append(frame)
 
         monkeypatch.setattr(writer, "add", note)
-        writer.set_cost(float(np.mean(TASK.run(made, "stream", sequence, writer))), None)
+        writer.set(seconds=float(np.mean(TASK.run(made, "stream", sequence, writer))))
     result = open_result(tmp_path / "r.h5", sequence)
     numbers = [np.asarray(result.read(FoundParticles, n).trajectory).tolist() for n in range(6)]
     assert numbers == [[0, 1], [2, 1]] * 3
