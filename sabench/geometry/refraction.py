@@ -50,7 +50,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F
     upper = radius_mm / np.maximum(rare, 1e-300)
     slowness = sum(depth / r for depth, r in zip(depths_mm, relative, strict=True))
     slope = low = radius_mm / np.asarray(slowness)  # paraxial root
-    value, gradient = _lateral(relative, depths_mm, slope)
+    value, gradient, _ = _lateral(relative, depths_mm, slope)
     for _ in range(NEWTON):
         low = np.where(value <= radius_mm, np.maximum(low, slope), low)
         upper = np.where(value >= radius_mm, np.minimum(upper, slope), upper)
@@ -58,7 +58,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F
         better = np.where((step >= low) & (step <= upper), step, 0.5 * (low + upper))
         moved = np.abs(better - slope)
         slope = better
-        value, gradient = _lateral(relative, depths_mm, slope)
+        value, gradient, _ = _lateral(relative, depths_mm, slope)
         if np.all(
             (moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm)
         ):
@@ -73,12 +73,12 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64 
     """
     slope = _start(relative, depths_mm, radius_mm)
     for _ in range(HALLEY):
-        value, gradient, curvature = _lateral_distance(relative, depths_mm, slope)
+        value, gradient, curvature = _lateral(relative, depths_mm, slope)
         miss = radius_mm - value
         step = 2.0 * miss * gradient / (2.0 * gradient * gradient - 3.0 * miss * curvature * slope)
         slope = slope + step
         if np.all(np.abs(step) <= 1e-5 * slope):
-            value, _ = _lateral(relative, depths_mm, slope)
+            value = _lateral(relative, depths_mm, slope)[0]
             near = np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm
             return slope if near.all() else None
     return None
@@ -105,12 +105,10 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
     )
 
 
-def _lateral_distance(
-    relative: F64, depths_mm: list[F64 | float], slope: F64
-) -> tuple[F64, F64, F64]:
-    """Compute lateral distance of a path with slope t, and derivatives.
+def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
+    """Compute the lateral distance of a path with the slope t in the rarest medium.
 
-    The slope is that in the rarest medium. The derivatives are the first, and the second over -3 t.
+    Also its derivatives: the first, and the second over -3 t.
     """
     square = slope * slope
     value, gradient, curvature = np.zeros_like(slope), np.zeros_like(slope), np.zeros_like(slope)
@@ -129,25 +127,6 @@ def _lateral_distance(
         part *= r * r - 1.0
         curvature += part
     return value * slope, gradient, curvature
-
-
-def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64]:
-    """Compute the lateral distance of a path and its derivative.
-
-    The slope in the rarest medium is t.
-    """
-    square = slope * slope
-    value, gradient = np.zeros_like(slope), np.zeros_like(slope)
-    for depth, r in zip(depths_mm, relative, strict=True):
-        if r == 1.0:
-            value += depth * slope
-            gradient += depth
-            continue
-        inverse = 1.0 / np.sqrt(r * r + (r * r - 1.0) * square)
-        part = depth * inverse
-        value += part * slope
-        gradient += (r * r) * part * inverse * inverse
-    return value, gradient
 
 
 def angle_in(indices: F64, medium: int, slope: F64) -> tuple[F64, F64]:
@@ -205,31 +184,19 @@ class Rays:
 class AnyWall(Protocol):
     """Wall of any shape between a camera's medium and the fluid."""
 
-    @property
-    def air_index(self) -> float:
-        """Refractive index on the cameras' side."""
-
-    @property
-    def fluid_index(self) -> float:
-        """Refractive index in the tank."""
-
-    @property
-    def layers(self) -> tuple[Layer, ...]:
-        """Solid layers, in the order along light from a camera."""
+    air_index: float
+    layers: tuple[Layer, ...]
+    fluid_index: float
 
     @property
     def thickness_mm(self) -> float:
         """Distance from the outer to the inner face."""
+        return sum(layer.thickness_mm for layer in self.layers)
 
     @property
     def indices(self) -> F64:
         """Indices of all media along the way of light from a camera: (2 + layers,)."""
-
-    def depth_of(self, points_mm: F64) -> F64:
-        """Compute the signed distance of points (..., 3) behind the outer face, mm."""
-
-    def normal_at(self, point_mm: F64) -> F64:
-        """Compute the unit normal (3,) into the tank, nearest to a point (3,)."""
+        return np.array([self.air_index, *(layer.index for layer in self.layers), self.fluid_index])
 
     def paths(self, pinhole_mm: F64, points_mm: F64) -> Paths:
         """Trace paths of light; see `trace_to_points`."""
@@ -245,7 +212,7 @@ class AnyWall(Protocol):
 
 
 @dataclass(frozen=True)
-class Wall:
+class Wall(AnyWall):
     """Stack of parallel layers between the cameras' medium and the fluid.
 
     Attributes
@@ -264,16 +231,6 @@ class Wall:
     layers: tuple[Layer, ...]
     fluid_index: float
     depth_mm: float | None = None
-
-    @property
-    def thickness_mm(self) -> float:
-        """Distance from the outer to the inner face."""
-        return sum(layer.thickness_mm for layer in self.layers)
-
-    @property
-    def indices(self) -> F64:
-        """Indices of all media along the way of light from a camera: (2 + layers,)."""
-        return np.array([self.air_index, *(layer.index for layer in self.layers), self.fluid_index])
 
     @property
     def interface_depths_mm(self) -> F64:
