@@ -50,7 +50,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F
     upper = radius_mm / np.maximum(rare, 1e-300)
     slowness = sum(depth / r for depth, r in zip(depths_mm, relative, strict=True))
     slope = low = radius_mm / np.asarray(slowness)  # paraxial root
-    value, gradient, _ = _lateral(relative, depths_mm, slope)
+    value, gradient = _lateral(relative, depths_mm, slope)
     for _ in range(NEWTON):
         low = np.where(value <= radius_mm, np.maximum(low, slope), low)
         upper = np.where(value >= radius_mm, np.minimum(upper, slope), upper)
@@ -58,7 +58,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F
         better = np.where((step >= low) & (step <= upper), step, 0.5 * (low + upper))
         moved = np.abs(better - slope)
         slope = better
-        value, gradient, _ = _lateral(relative, depths_mm, slope)
+        value, gradient = _lateral(relative, depths_mm, slope)
         if np.all(
             (moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm)
         ):
@@ -73,12 +73,12 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64 
     """
     slope = _start(relative, depths_mm, radius_mm)
     for _ in range(HALLEY):
-        value, gradient, curvature = _lateral(relative, depths_mm, slope)
+        value, gradient, curvature = _lateral_distance(relative, depths_mm, slope)
         miss = radius_mm - value
         step = 2.0 * miss * gradient / (2.0 * gradient * gradient - 3.0 * miss * curvature * slope)
         slope = slope + step
         if np.all(np.abs(step) <= 1e-5 * slope):
-            value = _lateral(relative, depths_mm, slope)[0]
+            value, _ = _lateral(relative, depths_mm, slope)
             near = np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm
             return slope if near.all() else None
     return None
@@ -105,10 +105,12 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
     )
 
 
-def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
-    """Compute the lateral distance of a path with the slope t in the rarest medium.
+def _lateral_distance(
+    relative: F64, depths_mm: list[F64 | float], slope: F64
+) -> tuple[F64, F64, F64]:
+    """Compute lateral distance of a path with slope t, and derivatives.
 
-    Also its derivatives: the first, and the second over -3 t.
+    The slope is that in the rarest medium. The derivatives are the first, and the second over -3 t.
     """
     square = slope * slope
     value, gradient, curvature = np.zeros_like(slope), np.zeros_like(slope), np.zeros_like(slope)
@@ -127,6 +129,25 @@ def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F
         part *= r * r - 1.0
         curvature += part
     return value * slope, gradient, curvature
+
+
+def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64]:
+    """Compute the lateral distance of a path and its derivative.
+
+    The slope in the rarest medium is t.
+    """
+    square = slope * slope
+    value, gradient = np.zeros_like(slope), np.zeros_like(slope)
+    for depth, r in zip(depths_mm, relative, strict=True):
+        if r == 1.0:
+            value += depth * slope
+            gradient += depth
+            continue
+        inverse = 1.0 / np.sqrt(r * r + (r * r - 1.0) * square)
+        part = depth * inverse
+        value += part * slope
+        gradient += (r * r) * part * inverse * inverse
+    return value, gradient
 
 
 def angle_in(indices: F64, medium: int, slope: F64) -> tuple[F64, F64]:

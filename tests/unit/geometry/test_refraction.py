@@ -14,6 +14,7 @@ from sabench.geometry.refraction import (
     Wall,
     _halley,
     _lateral,
+    _lateral_distance,
     _start,
     solve_slope,
     trace_into_fluid,
@@ -239,8 +240,9 @@ PATHS: list[tuple[F64, list[F64 | float]]] = [
 def test_derivatives_are_those_of_lateral(relative: F64, depths_mm: list[F64 | float]) -> None:
     """Central differences; the second derivative is stated over -3 t."""
     slope, step = np.array([0.05, 0.3, 0.8, 2.0]), 1e-4
-    _, gradient, curvature = _lateral(relative, depths_mm, slope)
+    value, gradient, curvature = _lateral_distance(relative, depths_mm, slope)
     before, after = (_lateral(relative, depths_mm, slope + by) for by in (-step, step))
+    assert_allclose(value, _lateral(relative, depths_mm, slope)[0], rtol=1e-13)
     assert_allclose(gradient, (after[0] - before[0]) / (2.0 * step), rtol=1e-6)
     assert_allclose(curvature, (after[1] - before[1]) / (2.0 * step) / (-3.0 * slope), rtol=1e-4)
 
