@@ -104,10 +104,7 @@ class Camera(WalledPinhole):
 
         Its optical axis is normal to the sensor. Other points are in focus.
 
-        Raises
-        ------
-        ValueError
-            A tilted sensor behind a lens with distortion: there is none.
+        Raises ValueError: a tilted sensor behind a lens with distortion: there is none.
         """
         if self.tilt_deg == UPRIGHT:
             return self

@@ -43,10 +43,7 @@ class CentralCamera(WalledPinhole):
     degree : total degree of the polynomial.
     coefficients : two rows, of column and row, in the order of `plane_polynomials.terms`.
 
-    Raises
-    ------
-    ValueError
-        Another number of coefficients than of terms, or an empty box.
+    Raises ValueError: another number of coefficients than of terms, or an empty box.
     """
 
     name: str
@@ -144,10 +141,7 @@ def fit_central_camera(
     pose : pinhole (3,) in mm, and rotation (3, 3) from the world to the camera.
     ideal, pixels : (n, 2) pairs over the image; NaN where there is none.
 
-    Raises
-    ------
-    InputError
-        A map that no polynomial of degree 13 fits to 1e-7 px.
+    Raises InputError: a map that no polynomial of degree 13 fits to 1e-7 px.
     """
     finite: Bool = np.asarray(np.isfinite(np.hstack([ideal, pixels])).all(axis=1))
     if finite.sum() < 100:

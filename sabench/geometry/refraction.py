@@ -37,9 +37,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F
         arrays (n,), positive or zero.
     radius_mm : (n,) lateral distance between the ends of the path.
 
-    Returns
-    -------
-    slope : (n,) t >= 0.
+    Returns t >= 0 (n,).
     """
     relative = indices / indices.min()
     quick = _halley(relative, depths_mm, radius_mm)

@@ -31,10 +31,7 @@ def true_field(grid: Grid, particles: Particles, views: Sequence[ParticleView]) 
     ----------
     views : what each camera receives of the same particles.
 
-    Raises
-    ------
-    InputError
-        The field does not fit into memory.
+    Raises InputError: the field does not fit into memory.
     """
     check_volume(grid)
     if not len(particles):

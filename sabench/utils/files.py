@@ -221,10 +221,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def inside(root: Path, name: str) -> Path:
     """Return the path of the file `name` in the folder `root`.
 
-    Raises
-    ------
-    InputError
-        The name leads outside, or through a link.
+    Raises InputError: the name leads outside, or through a link.
     """
     path = root / name
     parts = Path(name).parts

@@ -48,10 +48,7 @@ def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[s
     ----------
     skip_lines : lines at the top of each text file that are left out.
 
-    Raises
-    ------
-    InputError
-        No such file or array, another format, or numbers that are not finite.
+    Raises InputError: no such file or array, another format, or numbers that are not finite.
     """
     files = file_series(path)
     if not files:
@@ -71,10 +68,7 @@ def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[s
 def read_all_arrays(path: Path, suffix: str) -> dict[str, UnitArray]:
     """Read the arrays of numbers at the root of a file as that suffix is read.
 
-    Raises
-    ------
-    InputError
-        No such file, or a broken one.
+    Raises InputError: no such file, or a broken one.
     """
     if not path.is_file():
         raise InputError(f"{path}: expected a {_KINDS[suffix]} file, found none")
@@ -288,10 +282,7 @@ def length_mm(given: Unit, array: UnitArray, where: str, key: str) -> float:
 
     It is taken from what is given (a name or a number), else from the file.
 
-    Raises
-    ------
-    InputError
-        A unit that is missing, or an unknown name.
+    Raises InputError: a unit that is missing, or an unknown name.
     """
     return _factor(given, array, _LENGTHS, where, key, "mm")
 

@@ -37,11 +37,8 @@ def surface_of(
     step_mm : of the lattice. Where the body is smooth the surface is off by the order of its
         square; what is thinner than a step may be lost.
 
-    Raises
-    ------
-    InputError
-        Too many nodes, nothing inside, or a body that reaches the edge of the lattice, where its
-        surface would be open.
+    Raises InputError: too many nodes, nothing inside, or a body that reaches the edge of the
+    lattice, where its surface would be open.
     """
     from skimage.measure import marching_cubes
 

@@ -29,10 +29,7 @@ def place_ellipsoids(
         they may be.
     what : named in errors.
 
-    Raises
-    ------
-    InputError
-        No place was found for some of them.
+    Raises InputError: no place was found for some of them.
     """
     count = len(semi_axes_mm)
     order = np.argsort(-semi_axes_mm.max(axis=1), kind="stable")

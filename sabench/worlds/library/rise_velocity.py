@@ -75,10 +75,7 @@ def transition_diameter_mm(largest_mm: float, liquid: Liquid) -> float:
     They rise as fast as the slowest large bubble: the largest one or, if that is beyond the minimum
     of the velocity, one at the minimum. Source: thesis, section 5.5.2 and figure 5-23.
 
-    Raises
-    ------
-    ValueError
-        The largest bubble is on the rising part of the law.
+    Raises ValueError: the largest bubble is on the rising part of the law.
     """
     slow = float(wave_velocity(np.array(min(largest_mm, liquid.slowest_mm)), liquid))
     small = np.linspace(0.2, 2.0, 1801)

@@ -96,10 +96,7 @@ def solve_oseen(
     Convection is that by the mean velocity: exact for slow flow, and a model of the wake at larger
     Reynolds numbers.
 
-    Raises
-    ------
-    InputError
-        Bodies that hold no node, or no solution within the iterations.
+    Raises InputError: bodies that hold no node, or no solution within the iterations.
     """
     from scipy.sparse.linalg import LinearOperator, gmres  # takes long to load
 
