@@ -85,7 +85,7 @@ class CentralCamera(WalledPinhole):
         return pixels, np.asarray(valid)
 
     def ideal(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Invert the polynomial from the box's middle: x/z and y/z (n, 2) of pixels (n, 2)."""
+        """Convert pixels (n, 2) to x/z and y/z (n, 2), from the box's middle on."""
         image = rows_of(pixels, 2, "pixels")
         unit = invert_lens(self._lens, image, np.zeros_like(image))
         valid: Bool = np.asarray(np.abs(unit).max(axis=1) <= _REACH)
