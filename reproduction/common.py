@@ -177,7 +177,7 @@ def finite_row(name: str, values: Iterable[float]) -> Row:
 
 
 def curve_of_means(label: str, x: Sequence[float], draws: Iterable[Iterable[float]]) -> Curve:
-    """Draw means and half widths of the finite values at each x, where there are some."""
+    """Draw means and half widths of the finite values at each x, if any."""
     means = [mean_of([value for value in values if np.isfinite(value)]) for values in draws]
     measured = [(place, mean) for place, mean in zip(x, means, strict=True) if mean]
     spread = [mean.half_width or 0.0 for _, mean in measured]

@@ -80,7 +80,7 @@ def transition_diameter_mm(largest_mm: float, liquid: Liquid) -> float:
 
 
 def moore(ratio: F64) -> tuple[F64, F64, F64]:
-    """Compute Moore's Weber number, G and H (n,) of spheroids of long over short axis.
+    """Compute Moore's Weber number, G and H (n,) by long over short axis.
 
     The drag coefficient is 48 G / Re (1 + H / sqrt(Re)).
     """
