@@ -1,4 +1,4 @@
-"""Terminal velocity of single bubbles in a clean liquid, against their diameter: figure 5-23.
+"""Terminal velocity of single bubbles in a clean liquid: figure 5-23.
 
 Small bubbles are oblate spheroids with a thin boundary layer that slips: Moore, "The velocity of
 rise of distorted gas bubbles in a liquid of small viscosity", J. Fluid Mech. 23 (1965), with his

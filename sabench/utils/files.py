@@ -158,12 +158,12 @@ def series_hash(path: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a file of this name, which may be one that no disk can hold."""
+    """Return whether there is a file; no for a name that no disk can hold."""
     return os.path.isfile(path)  # noqa: PTH113  # pathlib's raises an OSError
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether there is a folder of this name, as `is_file` does for files."""
+    """Return whether there is a folder, as `is_file` does for files."""
     return os.path.isdir(path)  # noqa: PTH112
 
 
