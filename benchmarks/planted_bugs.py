@@ -343,8 +343,8 @@ BUGS = (
     Bug(
         "the mean diameter's light for every particle",
         "sabench/simulation/rendering/particle_light.py",
-        "material.cross_section(particles.diameter_mm[own], *given)",
-        "material.cross_section(0.0 * angles[own] + particles.diameter_mm.mean(), *given)",
+        "for values in (particles.diameter_mm, *given)",
+        "for values in (0.0 * numbers + particles.diameter_mm.mean(), *given)",
         tests="tests/unit/simulation/rendering/test_particle_light.py",
     ),
     Bug(

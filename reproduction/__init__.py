@@ -39,10 +39,7 @@ MEASUREMENTS = {
 def resolve(names: Sequence[str]) -> list[str]:
     """Resolve names of measurements; `all` stands for all of them.
 
-    Raises
-    ------
-    InputError
-        An unknown name.
+    Raises InputError: an unknown name.
     """
     for name in names:
         if name not in MEASUREMENTS and name != "all":

@@ -46,10 +46,7 @@ def read_catalogue() -> list[Entry]:
 def read_rows(file: Path) -> list[dict[str, Any]]:
     """Read rows that `sabench reproduce -o FILE` wrote; none where there is no file.
 
-    Raises
-    ------
-    InputError
-        A file that holds something else.
+    Raises InputError: a file that holds something else.
     """
     if not file.exists():
         return []

@@ -54,44 +54,19 @@ class Ring:
 
 
 _ONE, _TWO = "50x50x10-D0.5-uneven", "40x40x30-D0.4-uneven"
-RINGS = (
-    Ring(
-        "case 1",
-        _ONE,
-        False,
-        5.0,
-        (0.0, 0.0, 1.0),
-        0.3,
-        (32, 32, 16),
-        0.75,
-        (0.37, 0.38, 0.20),
-        (0.33, 0.34, 0.14),
-    ),
-    Ring(
-        "case 1, 3 x displacement",
-        _ONE,
-        False,
-        5.0,
-        (0.0, 0.0, 1.0),
-        0.9,
-        (32, 32, 16),
-        0.75,
-        (1.69, 1.72, 0.90),
-        (1.62, 1.62, 0.80),
-    ),
-    Ring(
-        "case 2",
-        _TWO,
-        True,
-        1.0,
-        (1.0, 0.0, 0.0),
-        0.37,
-        (60, 60, 24),
-        0.5,
-        (0.54, 0.43, 0.19),
-        (0.48, 0.36, 0.14),
-    ),
+_SMALL, _LARGE = (32, 32, 16), (60, 60, 24)  # windows
+_Z, _X = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
+_CASES = (
+    ("case 1", _ONE, False, 5.0, _Z, 0.3, _SMALL, 0.75),
+    ("case 1, 3 x displacement", _ONE, False, 5.0, _Z, 0.9, _SMALL, 0.75),
+    ("case 2", _TWO, True, 1.0, _X, 0.37, _LARGE, 0.5),
 )
+_INTERVALS = (
+    ((0.37, 0.38, 0.20), (0.33, 0.34, 0.14)),
+    ((1.69, 1.72, 0.90), (1.62, 1.62, 0.80)),
+    ((0.54, 0.43, 0.19), (0.48, 0.36, 0.14)),
+)
+RINGS = tuple(Ring(*case, *both) for case, both in zip(_CASES, _INTERVALS, strict=True))
 
 
 def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:

@@ -249,9 +249,7 @@ def _elsinga_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 def _atkinson_rows(seeds: Sequence[int], refocused: Sequence[_Point]) -> Iterator[Row]:
     """Count particles in slices of one voxel, which have no coarse copy.
 
-    Parameters
-    ----------
-    refocused : the curve of the lowest density.
+    `refocused` is the curve of the lowest density.
     """
     slices = load_scene("atkinson-1000x1x200")
     by_point: dict[str, list[Counts]] = {point: [] for point in _POINTS}

@@ -70,11 +70,8 @@ def scene_of(
 
     Cameras are D s_o apart; five boards of 11 x 11 points are in 50 x 50 x 50 mm behind 5 mm of
     glass.
-
-    Parameters
-    ----------
-    start : standard deviation of the initial points over the volume's edge; cameras start as wrong
-        as that.
+    `start` is the standard deviation of the initial points over the volume's edge; cameras start
+    as wrong as that.
     """
     values: dict[str, Any] = scene_at(
         [(_INNER + _OUTER)[number] for number in _CHOSEN[cameras]], baseline

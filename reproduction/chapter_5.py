@@ -20,9 +20,9 @@ from sabench.simulation.rendering.sensor import expose
 from sabench.tasks.bubbles import jet_figures, jet_of
 from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
-from sabench.worlds.library.rise_velocity import Liquid
 
 from .common import AGREES, claim, coarsen, finite_row, make_row, report, run
+from .rise_velocity import Liquid
 
 FRAMES = 50  # the thesis's number of time steps: of true bubbles, which need no images
 SOLVER = "rim_fit"

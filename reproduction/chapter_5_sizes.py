@@ -11,10 +11,10 @@ from sabench.metrics.bubble_detection import AnyBubbles, counts_per_frame, saute
 from sabench.metrics.plunging_jet import DEPTH_MM
 from sabench.plotting.drawing import Curve, Figure, Panel
 from sabench.utils.arrays import F64
-from sabench.worlds.library.rise_velocity import Liquid, terminal_velocity, transition_diameter_mm
 
 from .chapter_5 import FRAMES, JetFrames, detect_jets, jet_rows, true_bubbles
 from .common import claim, finite_row, make_row
+from .rise_velocity import Liquid, terminal_velocity, transition_diameter_mm
 
 _BIN_MM = 0.1
 _SMALL_MM = 1.5  # diameter: figure 5-17b has many below

@@ -18,7 +18,6 @@ from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.in_memory import Shot, observation_of, simulate_sequence
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.confidence import mean_of
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.overlaps import contains
 
@@ -197,17 +196,8 @@ def _curve(
     draws: Sequence[Figures],
     x: Sequence[float] | None = None,
 ) -> Curve:
-    means = [
-        mean_of([row[key] for row in draws if np.isfinite(row.get(key, np.nan))]) for key in keys
-    ]
-    places = x or list(range(len(keys)))
-    measured = [(place, mean) for place, mean in zip(places, means, strict=True) if mean]
-    return Curve(
-        label,
-        [place for place, _ in measured],
-        [mean.mean for _, mean in measured],
-        [mean.half_width or 0.0 for _, mean in measured],
-    )
+    values = [[row.get(key, np.nan) for row in draws] for key in keys]
+    return common.curve_of_means(label, x or range(len(keys)), values)
 
 
 _LARGEST_MM = 1.6  # as the solvers take it

@@ -267,10 +267,7 @@ def measure_sharpness(values: F64, corners: F64, pitch_mm: float) -> EdgeSharpne
 
     Source: ISO 12233 (slanted edge), with all edges of the board in one edge spread.
 
-    Raises
-    ------
-    ValueError
-        No edge lies in the image.
+    Raises ValueError: no edge lies in the image.
     """
     flipped = corners.transpose(1, 0, 2)
     samples = [*_strips(values, corners, pitch_mm), *_strips(values, flipped, pitch_mm)]

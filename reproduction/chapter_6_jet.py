@@ -15,14 +15,13 @@ from sabench.evaluation.reproduction import Item
 from sabench.geometry.grid import Grid
 from sabench.metrics.bubble_detection import LARGE_MM, AnyBubbles, detection_scores, match_bubbles
 from sabench.metrics.trajectories import trajectory_scores
-from sabench.plotting.drawing import Curve, Figure, Panel, Picture, Slice
+from sabench.plotting.drawing import Figure, Panel, Picture, Slice
 from sabench.scenes import Scene, load_scene
 from sabench.simulation.frames import FrameContent
 from sabench.utils.arrays import F64, I64
-from sabench.utils.confidence import mean_of
 
 from .chapter_5 import render_first_frame, render_frames
-from .common import coarsen, finite_row, image_panel, make_row, report, run
+from .common import coarsen, curve_of_means, finite_row, image_panel, make_row, report, run
 from .edge_depth import count_views, edge_scores, find_rim, silhouette, sphere_mesh
 
 _DEPTHS_MM = (-8.0, 0.0, 8.0)
@@ -293,23 +292,14 @@ def _drops_figure(scene: Scene, counts: dict[str, list[Counted]]) -> Figure:
         "sauter_mm": "Sauter diameter, mm",
         "passed": f"passed X = {_PLANE_MM:g} mm",
     }
-    panels = [
-        Panel("", "time, ms", label, tuple(_curve(name, times, kind, counts) for name in counts))
-        for kind, label in kinds.items()
-    ]
+    panels = []
+    for kind, label in kinds.items():
+        curves = tuple(
+            curve_of_means(name, times, np.array([getattr(one, kind) for one in draws]).T)
+            for name, draws in counts.items()
+        )
+        panels.append(Panel("", "time, ms", label, curves))
     return Figure("drops-over-time", "drops over time", tuple(panels), across=2)
-
-
-def _curve(name: str, times: list[float], kind: str, counts: dict[str, list[Counted]]) -> Curve:
-    series = np.array([getattr(counted, kind) for counted in counts[name]])
-    means = [mean_of(values[np.isfinite(values)].tolist()) for values in series.T]
-    measured = [(time, mean) for time, mean in zip(times, means, strict=True) if mean]
-    return Curve(
-        name,
-        [time for time, _ in measured],
-        [mean.mean for _, mean in measured],
-        [mean.half_width or 0.0 for _, mean in measured],
-    )
 
 
 def count_passages(
@@ -320,14 +310,9 @@ def count_passages(
     A trajectory passes once: when it is first found beyond the plane, after a frame in which it was
     found before it.
 
-    Parameters
-    ----------
-    along_mm : coordinates (n,) of each frame's objects along the plane's normal.
-    trajectory : numbers (n,) of their trajectories.
-
-    Returns
-    -------
-    One count for each frame, that of the first is 0.
+    `along_mm` are the coordinates (n,) of each frame's objects along the plane's normal, and
+    `trajectory` the numbers of their trajectories. Returns one count for each frame; the first is
+    0.
     """
     before, passed, counts = set[int](), set[int](), list[int]()
     for along, number in zip(along_mm, trajectory, strict=True):

@@ -13,7 +13,7 @@ from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suite_loading import load_suite, override
 from sabench.evaluation.suites import SceneCase
 from sabench.geometry.grid import Grid
-from sabench.plotting.drawing import Panel, Picture
+from sabench.plotting.drawing import Curve, Panel, Picture
 from sabench.scenes import Scene
 from sabench.scenes.cameras import CameraSpec
 from sabench.simulation.in_memory import Shot, simulate
@@ -50,9 +50,7 @@ def make_row(
 def verdict(measured: float, thesis: float | None, better: Better = "neither") -> str:
     """Compare a value with the thesis's: equal to within `AGREES`, better or worse.
 
-    Parameters
-    ----------
-    better : which values are; "neither" for a quantity that is neither good nor bad.
+    `better` says which values are; "neither": the quantity is neither good nor bad.
     """
     if thesis is None:
         return UNSTATED
@@ -176,6 +174,14 @@ def exact_displacements(
 def finite_row(name: str, values: Iterable[float]) -> Row:
     """Make a row that the thesis does not state, of the values that exist."""
     return make_row(name, None, [float(value) for value in values if np.isfinite(value)])
+
+
+def curve_of_means(label: str, x: Sequence[float], draws: Iterable[Iterable[float]]) -> Curve:
+    """Draw means and half widths of the finite values at each x, if any."""
+    means = [mean_of([value for value in values if np.isfinite(value)]) for values in draws]
+    measured = [(place, mean) for place, mean in zip(x, means, strict=True) if mean]
+    spread = [mean.half_width or 0.0 for _, mean in measured]
+    return Curve(label, [place for place, _ in measured], [m.mean for _, m in measured], spread)
 
 
 def image_panel(title: str, image: npt.ArrayLike, x: str = "px", y: str = "px") -> Panel:

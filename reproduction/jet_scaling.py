@@ -67,10 +67,7 @@ def five_points(jet: JetFigures) -> FivePoints:
 
     The smallest C_max is that of a bin with bubbles.
 
-    Raises
-    ------
-    ValueError
-        No bubbles, or no penetration depth.
+    Raises ValueError: no bubbles, or no penetration depth.
     """
     if not jet.largest.any() or not np.isfinite(jet.penetration_mm):
         raise ValueError("jet: expected one with bubbles and a penetration depth")
@@ -172,10 +169,7 @@ def find_tilt(center_mm: F64, impact_mm: F64) -> tuple[float, float]:
     The axis is the straight line through the point of impact from which bubbles (n, 3) lie least
     far sideways, in units of the cloud's width at their depth.
 
-    Raises
-    ------
-    ValueError
-        Too few bubbles below the point of impact.
+    Raises ValueError: too few bubbles below the point of impact.
     """
     position = center_mm - np.asarray(impact_mm)
     position = position[position[:, 1] > 0.0]

@@ -29,10 +29,7 @@ def measure(
 
     Rows of an item replace those of the file when all of them are measured.
 
-    Parameters
-    ----------
-    output : JSON file of rows.
-    folder : folder of plots and of a page of all values.
+    `output` is a JSON file of rows, `folder` that of plots and of a page of all values.
     """
     chosen = resolve(names)
     earlier = read_rows(output) if output else []

@@ -51,13 +51,8 @@ def plane_spacing_ratio(
 
     dZ / dX = (1 / D + Z / (D s_o)) / (1 - dX / (D s_o)), where a shift by one pixel leads to the
     next focal plane.
-
-    Parameters
-    ----------
-    baseline_ratio : D, distance of the cameras' centres / s_o.
-    pixel_mm : dX, a pixel's width at Z (equation 2.5).
-    z_mm : Z, from the front of the volume.
-    s_o_mm : distance of the cameras from the front of the volume.
+    `baseline_ratio` is D, the distance of the cameras' centres / s_o; `pixel_mm` is dX, a pixel's
+    width at Z (equation 2.5); Z and s_o, the cameras' distance, are from the volume's front.
     """
     return first_order_spacing_ratio(baseline_ratio, z_mm, s_o_mm) / (
         1.0 - pixel_mm / (baseline_ratio * s_o_mm)
@@ -118,24 +113,15 @@ def operations(algorithm: Algorithm, setup: Setup) -> tuple[float, float]:
     Equations 3.6, 3.7, 3.10 to 3.13. Equations 3.12 and 3.13 are those of one iteration; Table 3.1
     has five. See docs/physics/theory.md where the table departs from the equations.
     """
-    n, mart = (
-        setup.cameras,
-        4.0
-        * setup.iterations
-        * setup.cameras
-        * setup.iterated_voxels
-        * (8.0 * setup.path_voxels + 4.0),
-    )
+    n, rounds = setup.cameras, setup.iterations
+    mart = 4.0 * rounds * n * setup.iterated_voxels * (8.0 * setup.path_voxels + 4.0)
     counts = {
         "asa": (setup.voxels * (26 * n + 1), 0.0),
         "msa": (27.0 * n * setup.voxels, 0.0),
         "mart": (0.0, mart),
         "mfg-mart": (setup.voxels * (8 * n + 1), mart),
-        "mlos-sart": (120.0 * n * setup.voxels, setup.iterations * (24 * n + 4) * setup.lit_voxels),
-        "mlos-smart": (
-            120.0 * n * setup.voxels,
-            setup.iterations * (24 * n + 3) * setup.lit_voxels,
-        ),
+        "mlos-sart": (120.0 * n * setup.voxels, rounds * (24 * n + 4) * setup.lit_voxels),
+        "mlos-smart": (120.0 * n * setup.voxels, rounds * (24 * n + 3) * setup.lit_voxels),
     }
     return counts[algorithm]
 
@@ -163,10 +149,7 @@ def normality(values: npt.ArrayLike) -> Normality:
 
     Section 2.2.3, figures 2-4 and 2-15.
 
-    Raises
-    ------
-    ValueError
-        Fewer than two different values.
+    Raises ValueError: fewer than two different values.
     """
     flat = np.asarray(values, dtype=np.float64).ravel()
     if not flat.size or flat.min() == flat.max():

@@ -91,12 +91,8 @@ def core(
 
     The position is the centroid of the vorticity that exceeds half of the peak, because a maximum
     lies on a node of a coarse field. NaN where the vorticity is unknown.
-
-    Parameters
-    ----------
-    spin : the vorticity.
-    radius_mm : expected distance from the axis; the expected height is 0.
-    search_mm : half side of the square around it that is searched.
+    Of the vorticity `spin`, a square of half the side `search_mm` is searched around the distance
+    `radius_mm` from the axis and the height 0, where the core is expected.
     """
     offsets = np.linspace(-search_mm, search_mm, _FINE)
     r, z = (part.ravel() for part in np.meshgrid(radius_mm + offsets, offsets))
@@ -114,11 +110,8 @@ def circulation(
     """Integrate the velocity along a rectangle in a half plane.
 
     NaN if the velocity is not known all around. Source: thesis, section 2.3.3.
-
-    Parameters
-    ----------
-    r_mm, z_mm : centre of the rectangle: distance from the axis, and height.
-    width_mm, height_mm : its sides, across the axis and along it.
+    The rectangle has its centre at `r_mm` from the axis and the height `z_mm`, and the sides
+    `width_mm` across the axis and `height_mm` along it.
     """
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
     corners = signs * 0.5 * [width_mm, height_mm] + [r_mm, z_mm]

@@ -203,10 +203,7 @@ class RecordHead(_Part):
 def parse_record(line: bytes) -> Record:
     """Parse one line as a record.
 
-    Raises
-    ------
-    ValueError
-        Anything else than a record; the text gives the reason in one short sentence.
+    Raises ValueError: anything else than a record; the text gives the reason in one short sentence.
     """
     if len(line) > LONGEST_TEXT:
         raise ValueError(f"more than {LONGEST_TEXT} bytes")

@@ -110,10 +110,7 @@ def append(path: Path, record: Record) -> None:
 
     The torn last line of a killed run is removed first. Many processes may append simultaneously.
 
-    Raises
-    ------
-    InputError
-        A record that `read_records` would leave out.
+    Raises InputError: a record that `read_records` would leave out.
     """
     line = encode(record)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -127,10 +124,7 @@ def append(path: Path, record: Record) -> None:
 def encode(record: Record) -> bytes:
     """Make the line of a record.
 
-    Raises
-    ------
-    InputError
-        A record that breaks the schema.
+    Raises InputError: a record that breaks the schema.
     """
     head = {key: RecordHead.model_fields[key].default for key in ("format", "version")}
     try:

@@ -63,10 +63,7 @@ def reproduce(
     pixels : side of the images; by default the scene's. Use small images for a quick trial; the
         results are not comparable.
 
-    Raises
-    ------
-    InputError
-        An unknown table, or the folder reproduction/ is missing.
+    Raises InputError: an unknown table, or the folder reproduction/ is missing.
     """
     measured: Iterator[Item] = load_reproduction().reproduce(tables, seeds, pixels)
     return measured
@@ -75,10 +72,7 @@ def reproduce(
 def load_reproduction(module: str = "") -> ModuleType:
     """Import the package in reproduction/, or a module of it.
 
-    Raises
-    ------
-    InputError
-        The folder is missing.
+    Raises InputError: the folder is missing.
     """
     package = _load(plugins.bundled_folder("reproduction"))
     return importlib.import_module(f"{_NAME}.{module}") if module else package

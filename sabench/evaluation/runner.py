@@ -127,12 +127,8 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     An earlier data set is reused if it is intact and was made by these versions of sabench, its
     simulation and the renderer. A recording is checked.
 
-    Raises
-    ------
-    InputError
-        A recording that is damaged or has changed.
-    UncheckedError
-        It could not be checked in the time for it. It stays as it is.
+    Raises InputError: a recording that is damaged or has changed. Raises UncheckedError: it could
+    not be checked in the time for it. It stays as it is.
     """
     if isinstance(case, RecordedCase):
         return check_intact(case)

@@ -48,11 +48,8 @@ def read_card(path: Path, name: str | None = None) -> SolverCard:
     ----------
     name : of the file in errors; by default its path.
 
-    Raises
-    ------
-    InputError
-        No such file, no TOML, more than 100 kB, a key that is missing or unknown, or a value that
-        is not one line of text.
+    Raises InputError: no such file, no TOML, more than 100 kB, a key that is missing or unknown, or
+    a value that is not one line of text.
     """
     shown = printable(name or str(path), 200)
     try:
@@ -72,10 +69,7 @@ def read_cards(inside: Sequence[tuple[str, Path]], given: Sequence[Path]) -> dic
 
     Returns them by their solvers.
 
-    Raises
-    ------
-    InputError
-        As `read_card`, and two cards of one solver.
+    Raises InputError: as `read_card`, and two cards of one solver.
     """
     by_solver: dict[str, tuple[str, SolverCard]] = {}
     for name, path in [*inside, *((str(path), path) for path in given)]:

@@ -59,10 +59,7 @@ def recording_name(spec: RecordingSpec, suite: Path) -> str:
 def open_recording(spec: RecordingSpec, suite: Path) -> RecordedCase:
     """Open the recorded data set of a suite.
 
-    Raises
-    ------
-    InputError
-        No folder, one that is no data set, or a data set that is not recorded.
+    Raises InputError: no folder, one that is no data set, or a data set that is not recorded.
     """
     data = _open(_place(spec, suite), f"{suite}: recordings: {spec.folder}")
     name = recording_name(spec, suite)
@@ -96,10 +93,8 @@ def _open(root: Path, source: str) -> Dataset:
 def check_intact(case: RecordedCase) -> Dataset:
     """Return the data set of a recorded case, with the bytes that its case is about.
 
-    Raises
-    ------
-    InputError
-        Files are missing or damaged, or the data set has changed since the suite was read.
+    Raises InputError: files are missing or damaged, or the data set has changed since the suite was
+    read.
     """
     root = case.data.root
     if faults := verify(root):
@@ -168,11 +163,8 @@ class Secret(BaseModel):
 def read_secret(path: Path) -> Secret:
     """Read the secret of a TOML file.
 
-    Raises
-    ------
-    InputError
-        No such file, no TOML, or a secret of fewer than 16 characters, which the error does not
-        repeat.
+    Raises InputError: no such file, no TOML, or a secret of fewer than 16 characters, which the
+    error does not repeat.
     """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -198,11 +190,8 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
     secret : makes the private data sets of its scenes, in place of the public ones. Recordings
         have no seeds, and so no private ones.
 
-    Raises
-    ------
-    InputError
-        Anything wrong in the suite, in one of its scenes, changes or recordings, two cases of one
-        name, or cases that differ from the frozen ones.
+    Raises InputError: anything wrong in the suite, in one of its scenes, changes or recordings, two
+    cases of one name, or cases that differ from the frozen ones.
     """
     file = find(path, "scenes/suites")
     suite = _resolve(_read_suite(file), file)

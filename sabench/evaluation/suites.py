@@ -277,10 +277,7 @@ class Only:
     def select(self, cases: list[Case]) -> list[Case]:
         """Select the wanted cases, each with the wanted solvers.
 
-        Raises
-        ------
-        InputError
-            A case, seed or solver that the suite does not have.
+        Raises InputError: a case, seed or solver that the suite does not have.
         """
         _check_known("case", self.cases, {case.name for case in cases})
         _check_known("seed", self.seeds, {case.shown_seed for case in cases})

@@ -76,9 +76,7 @@ def solve_timed(
     iterations : store the first frame's estimates on the way, too.
     clock : of the reference kernel, a function of the module `time`.
 
-    Returns
-    -------
-    Seconds of the reference kernel, the mean of before and after.
+    Returns seconds of the reference kernel, the mean of before and after.
     """
     try:
         before = _reference_s(threads, clock)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera_model import SensorCamera
+from sabench.geometry.camera_model import Rotation, Vector, WalledPinhole
 from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.lens import (
     UPRIGHT,
@@ -25,7 +25,7 @@ from sabench.geometry.lens import (
     sensor_axes,
     undistort,
 )
-from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points
+from sabench.geometry.refraction import Wall, trace_to_points
 from sabench.geometry.rigid_motion import cross, frame_of_normal
 from sabench.utils.arrays import F64, Bool, all_in_row, rows_of, triple
 from sabench.utils.validation import TiltAngle
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Camera(SensorCamera):
+class Camera(WalledPinhole):
     """One camera of an array.
 
     Attributes
@@ -59,10 +59,8 @@ class Camera(SensorCamera):
     name: str
     rows: int
     columns: int
-    center_mm: tuple[float, float, float]
-    rotation: tuple[
-        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
-    ]
+    center_mm: Vector
+    rotation: Rotation
     principal_distance_mm: float
     pixel_mm: float
     principal_point_px: tuple[float, float]
@@ -106,10 +104,7 @@ class Camera(SensorCamera):
 
         Its optical axis is normal to the sensor. Other points are in focus.
 
-        Raises
-        ------
-        ValueError
-            A tilted sensor behind a lens with distortion: there is none.
+        Raises ValueError: a tilted sensor behind a lens with distortion: there is none.
         """
         if self.tilt_deg == UPRIGHT:
             return self
@@ -183,16 +178,6 @@ class Camera(SensorCamera):
         pixels[~valid] = np.nan
         return pixels, valid
 
-    def directions(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Compute unit world directions (n, 3) in the camera's medium of pixels (n, 2).
-
-        Pixels are (column, row).
-        """
-        ideal, valid = self.ideal(pixels)
-        local = np.column_stack([ideal, np.ones(len(ideal))])
-        local /= np.linalg.norm(local, axis=1, keepdims=True)
-        return local @ np.asarray(self.rotation), valid
-
     def ideal(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
         """Undistort pixels (n, 2) to image coordinates (n, 2), x/z and y/z."""
         distorted = (
@@ -203,25 +188,6 @@ class Camera(SensorCamera):
         distorted, before = from_sensor(self.tilt_deg, distorted)
         ideal, valid = undistort(self.distortion, distorted)
         return ideal, valid & before
-
-    def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """Return the rays in the fluid that pixels (n, 2) see.
-
-        `valid` is false on total reflection.
-        """
-        directions, valid = self.directions(pixels)
-        rays = trace_into_fluid(self.wall, np.asarray(self.center_mm), directions)
-        return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
-
-    def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
-
-        The points lie in the fluid. Returns (n, 2); NaN for points without a line of sight.
-        """
-        arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
-        return np.asarray(
-            points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
-        )
 
     def etendue(self) -> F64:
         """Compute the etendue that each pixel collects, mm^2 sr.
@@ -269,9 +235,7 @@ def _ideal_lattice(camera: Camera, column: npt.ArrayLike, row: npt.ArrayLike) ->
     return np.ascontiguousarray(ideal.T).reshape(2, *shape), valid.reshape(shape)
 
 
-def aimed_rotation(
-    forward: F64, down: npt.ArrayLike = (0.0, 1.0, 0.0)
-) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+def aimed_rotation(forward: F64, down: npt.ArrayLike = (0.0, 1.0, 0.0)) -> Rotation:
     """Make the world-to-camera rotation whose Z axis is `forward`.
 
     Its Y axis is as near to `down` as it can be.

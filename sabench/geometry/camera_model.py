@@ -6,8 +6,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.refraction import Rays
+from sabench.geometry.refraction import AnyWall, Rays, trace_into_fluid, trace_to_points
 from sabench.utils.arrays import F64, Bool
+
+Vector = tuple[float, float, float]
+Rotation = tuple[Vector, Vector, Vector]  # rows
 
 
 class CameraModel(Protocol):
@@ -35,7 +38,7 @@ class CameraModel(Protocol):
         """
 
     @property
-    def center_mm(self) -> tuple[float, float, float]:
+    def center_mm(self) -> Vector:
         """Position of the camera, approximate if the model does not define one."""
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
@@ -64,6 +67,47 @@ class SensorCamera:
         with np.errstate(invalid="ignore"):
             inside = (column >= low) & (row >= low) & (row < self.rows + margin_px - 0.5)
             return np.asarray(inside & (column < self.columns + margin_px - 0.5))
+
+
+class WalledPinhole(SensorCamera):
+    """Part that pinholes share which look through a wall: lines of sight."""
+
+    center_mm: Vector
+    rotation: Rotation
+    wall: AnyWall | None
+
+    def ideal(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Convert pixels (n, 2) to ideal image coordinates (n, 2), x/z and y/z."""
+        raise NotImplementedError(f"{type(self).__name__} must implement ideal()")
+
+    def directions(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Compute unit world directions (n, 3) in the camera's medium of pixels (n, 2).
+
+        Pixels are (column, row).
+        """
+        ideal, valid = self.ideal(pixels)
+        local = np.column_stack([ideal, np.ones(len(ideal))])
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        return local @ np.asarray(self.rotation), valid
+
+    def back_project(self, pixels: npt.ArrayLike) -> Rays:
+        """Return the rays in the fluid that pixels (n, 2) see.
+
+        `valid` is false on total reflection, and where the lens shows nothing.
+        """
+        directions, valid = self.directions(pixels)
+        rays = trace_into_fluid(self.wall, np.asarray(self.center_mm), directions)
+        return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
+
+    def carry(self, points_mm: F64, z_mm: float) -> F64:
+        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
+
+        The points lie in the fluid. Returns (n, 2); NaN for points without a line of sight.
+        """
+        arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
+        return np.asarray(
+            points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
+        )
 
 
 def any_in_view(cameras: Sequence[CameraModel], points_mm: F64) -> bool:

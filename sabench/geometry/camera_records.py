@@ -85,10 +85,8 @@ def record_camera(camera: CameraModel) -> dict[str, Any]:
 def read_camera(record: Any, where: str) -> CameraModel:
     """Make a camera from its JSON record.
 
-    Raises
-    ------
-    InputError
-        An unknown model, or fields that are not the model's; `where` opens the sentence.
+    Raises InputError: an unknown model, or fields that are not the model's; `where` opens the
+    sentence.
     """
     model = record.get("model") if isinstance(record, dict) else record
     if not isinstance(model, str) or model not in MODELS:

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera_model import SensorCamera
+from sabench.geometry.camera_model import Rotation, Vector, WalledPinhole
 from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.lens import NEWTON
 from sabench.geometry.plane_polynomials import terms
-from sabench.geometry.refraction import Rays, trace_into_fluid, trace_to_points
+from sabench.geometry.refraction import trace_to_points
 from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
 
@@ -28,7 +28,7 @@ _REACH = 1.2  # coordinates of the fitted box beyond which the polynomial is not
 
 
 @dataclass(frozen=True)
-class CentralCamera(SensorCamera):
+class CentralCamera(WalledPinhole):
     """Pinhole with a polynomial in place of focal length and distortion.
 
     Attributes
@@ -43,19 +43,14 @@ class CentralCamera(SensorCamera):
     degree : total degree of the polynomial.
     coefficients : two rows, of column and row, in the order of `plane_polynomials.terms`.
 
-    Raises
-    ------
-    ValueError
-        Another number of coefficients than of terms, or an empty box.
+    Raises ValueError: another number of coefficients than of terms, or an empty box.
     """
 
     name: str
     rows: int
     columns: int
-    center_mm: tuple[float, float, float]
-    rotation: tuple[
-        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
-    ]
+    center_mm: Vector
+    rotation: Rotation
     middle: tuple[float, float]
     half: tuple[float, float]
     degree: int
@@ -89,41 +84,15 @@ class CentralCamera(SensorCamera):
         pixels[~valid] = np.nan
         return pixels, np.asarray(valid)
 
-    def directions(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Compute unit world directions (n, 3) in the camera's medium of pixels (n, 2)."""
-        unit, valid = self._unit(rows_of(pixels, 2, "pixels"))
-        ideal = np.asarray(self.middle) + unit * self.half
-        local = np.column_stack([ideal, np.ones(len(ideal))])
-        local /= np.linalg.norm(local, axis=1, keepdims=True)
-        return local @ np.asarray(self.rotation), valid
-
-    def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """Return the rays in the fluid that pixels (n, 2) see.
-
-        `valid` is false on total reflection, and far outside the image.
-        """
-        directions, valid = self.directions(pixels)
-        rays = trace_into_fluid(self.wall, np.asarray(self.center_mm), directions)
-        return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
-
-    def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
-
-        The points lie in the fluid. Returns (n, 2); NaN for points without a line of sight.
-        """
-        arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
-        return np.asarray(
-            points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
-        )
+    def ideal(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Convert pixels (n, 2) to x/z and y/z (n, 2), from the box's middle on."""
+        image = rows_of(pixels, 2, "pixels")
+        unit = invert_lens(self._lens, image, np.zeros_like(image))
+        valid: Bool = np.asarray(np.abs(unit).max(axis=1) <= _REACH)
+        return np.asarray(self.middle) + np.where(valid[:, None], unit, 0.0) * self.half, valid
 
     def _lens(self, unit: F64) -> F64:
         return np.asarray(terms(unit, self.degree) @ np.asarray(self.coefficients).T)
-
-    def _unit(self, pixels: F64) -> tuple[F64, Bool]:
-        """Invert the polynomial from the box's middle."""
-        unit = invert_lens(self._lens, pixels, np.zeros_like(pixels))
-        valid: Bool = np.asarray(np.abs(unit).max(axis=1) <= _REACH)
-        return np.where(valid[:, None], unit, 0.0), valid
 
 
 def image_lattice(rows: int, columns: int) -> F64:
@@ -172,10 +141,7 @@ def fit_central_camera(
     pose : pinhole (3,) in mm, and rotation (3, 3) from the world to the camera.
     ideal, pixels : (n, 2) pairs over the image; NaN where there is none.
 
-    Raises
-    ------
-    InputError
-        A map that no polynomial of degree 13 fits to 1e-7 px.
+    Raises InputError: a map that no polynomial of degree 13 fits to 1e-7 px.
     """
     finite: Bool = np.asarray(np.isfinite(np.hstack([ideal, pixels])).all(axis=1))
     if finite.sum() < 100:

@@ -26,10 +26,7 @@ def pixel_size_mm(cameras: Sequence[CameraModel], point_mm: F64) -> float:
     The cameras are those that have a pixel of the point. It is 1 / sqrt(s1 s2), with the two
     singular values of the slope of pixels by position.
 
-    Raises
-    ------
-    InputError
-        No camera has a pixel of the point.
+    Raises InputError: no camera has a pixel of the point.
     """
     around = point_mm + np.concatenate([np.eye(3), -np.eye(3)]) * DELTA_MM
     sizes = []
@@ -50,10 +47,7 @@ def propose_box(cameras: Sequence[CameraModel]) -> tuple[F64, F64]:
     directions by the same length until a camera sees a face no longer, and at most to the size of
     an image in each direction.
 
-    Raises
-    ------
-    InputError
-        Lines of sight that do not meet, or no point that all cameras see.
+    Raises InputError: lines of sight that do not meet, or no point that all cameras see.
     """
     middles = np.array([[[0.5 * (c.columns - 1), 0.5 * (c.rows - 1)]] for c in cameras])
     middle = intersect(cameras, middles)[0]
@@ -119,10 +113,7 @@ def grid_of_box(low_mm: F64, high_mm: F64, voxel_mm: float) -> Grid:
     low_mm, high_mm : (3,) corners of the box.
     voxel_mm : edge of a voxel, which changes until a whole number of them fits along each axis.
 
-    Raises
-    ------
-    InputError
-        Corners in the wrong order, or a size of voxels that makes none or too many.
+    Raises InputError: corners in the wrong order, or a size of voxels that makes none or too many.
     """
     size = np.asarray(high_mm) - np.asarray(low_mm)
     if not (size > 0.0).all() or not voxel_mm > 0.0:
@@ -181,11 +172,9 @@ def light_paths(camera: CameraModel, pixels: F64, low_mm: F64, high_mm: F64) -> 
     low_mm, high_mm : (3,) corners of the box. Paths end on the plane behind it that is at right
         angles to the path of the image's middle.
 
-    Returns
-    -------
-    Points (n, corners, 3) where paths begin, bend and end: the pinhole, all faces of the wall and
-    the end. A camera without a pinhole has a point in front of the box in place of the faces. NaN
-    for pixels without a path.
+    Returns points (n, corners, 3) where paths begin, bend and end: the pinhole, all faces of the
+    wall and the end. A camera without a pinhole has a point in front of the box in place of the
+    faces. NaN for pixels without a path.
     """
     middle = np.array([[(camera.columns - 1) / 2.0, (camera.rows - 1) / 2.0]])
     axis = camera.back_project(middle).directions[0]

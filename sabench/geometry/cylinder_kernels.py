@@ -31,9 +31,8 @@ def _cross(
     at, along : (3,) position and unit direction, replaced.
     moved, turned : (2, 3) their derivatives, replaced.
 
-    Returns
-    -------
-    Length of the way to the face, cosines before and behind it; cosine 0 before: no crossing.
+    Returns length of the way to the face, cosines before and behind it; cosine 0 before: no
+    crossing.
     """
     c, x, y = face[0], at[0] - face[1], at[1]
     across = along[0] * along[0] + along[1] * along[1]
@@ -93,9 +92,7 @@ def follow(
     length : (n,) filled with lengths up to there.
     passed : (n,) filled with the share of light that no face reflects.
 
-    Returns
-    -------
-    (n,) whether the ray reaches the fluid.
+    Returns (n,) whether the ray reaches the fluid.
     """
     valid = np.ones(len(along), dtype=np.bool_)
     moved, turned = np.zeros((2, 3)), np.zeros((2, 3))
@@ -127,10 +124,8 @@ def _aim(
         vectors across the start that these are by.
     steps : (3,) filled with the change of the start that brings the ray to the point.
 
-    Returns
-    -------
-    Distance by which the ray misses the point, and the area that a bundle of rays covers there:
-    negative behind a caustic. A ray that does not come near has an infinite miss.
+    Returns distance by which the ray misses the point, and the area that a bundle of rays covers
+    there: negative behind a caustic. A ray that does not come near has an infinite miss.
     """
     at, along, moved, turned = rays[0], rays[1], rays[2:4], rays[4:6]
     at[0], at[1], at[2] = -gap, 0.0, 0.0
@@ -192,10 +187,8 @@ def find_light_paths(
     ----------
     leaving, arriving : (n, 3) filled with unit directions at the pinhole and in the fluid.
 
-    Returns
-    -------
-    (n,) whether there is such a path. A path behind a caustic does not count: there another one
-    leads to the same point.
+    Returns (n,) whether there is such a path. A path behind a caustic does not count: there another
+    one leads to the same point.
     """
     valid = np.zeros(len(points), dtype=np.bool_)
     work = np.zeros((11, 3))

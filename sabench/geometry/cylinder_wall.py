@@ -9,13 +9,13 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Discriminator, Tag
 
-from sabench.geometry.refraction import Layer, Paths, Rays, Wall
+from sabench.geometry.refraction import AnyWall, Layer, Paths, Rays, Wall
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.validation import UNION_TAG
 
 
 @dataclass(frozen=True)
-class CylinderWall:
+class CylinderWall(AnyWall):
     """Coaxial cylindrical layers between the cameras' medium and the fluid inside.
 
     The cylinder has no ends.
@@ -37,20 +37,10 @@ class CylinderWall:
     fluid_index: float
 
     @property
-    def thickness_mm(self) -> float:
-        """Distance from the outer to the inner face."""
-        return sum(layer.thickness_mm for layer in self.layers)
-
-    @property
     def radii_mm(self) -> F64:
         """Radii of all faces, from outside: (1 + layers,)."""
         thick = [layer.thickness_mm for layer in self.layers]
         return np.asarray(self.outer_radius_mm - np.cumsum([0.0, *thick]))
-
-    @property
-    def indices(self) -> F64:
-        """Indices of all media along the way of light from a camera: (2 + layers,)."""
-        return np.array([self.air_index, *(layer.index for layer in self.layers), self.fluid_index])
 
     def depth_of(self, points_mm: F64) -> F64:
         """Compute the signed distance of points (..., 3) behind the outer face, mm."""

@@ -171,10 +171,8 @@ def cut_box(low_mm: F64, high_mm: F64, point_mm: F64, normal: F64) -> F64:
     low_mm, high_mm : (3,) corners of the box with the smallest and largest coordinates.
     point_mm, normal : (3,) a point of the plane, and its unit normal.
 
-    Returns
-    -------
-    Corners (n, 3) of the part of the plane in the box, in no order, some of them repeatedly where
-    the plane passes through corners of the box; none where it misses the box.
+    Returns corners (n, 3) of the part of the plane in the box, in no order, some of them repeatedly
+    where the plane passes through corners of the box; none where it misses the box.
     """
     corners = np.array(list(itertools.product(*zip(low_mm, high_mm, strict=True))))
     away = (corners - point_mm) @ normal
@@ -195,9 +193,8 @@ def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:
     velocity : (z, y, x, 3).
     step_mm : spacing of the nodes along x, y, z.
 
-    Returns
-    -------
-    (z, y, x, 3, 3), one-sided differences at the lattice's ends, NaN along axes of a single node.
+    Returns (z, y, x, 3, 3), one-sided differences at the lattice's ends, NaN along axes of a single
+    node.
     """
     parts: list[F64] = []
     for axis in range(3):

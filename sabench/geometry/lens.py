@@ -108,9 +108,7 @@ def onto_sensor(tilt_deg: Tilt, image: F64, lens: F64 | None = None) -> tuple[F6
     image : (n, 2) image coordinates, where the light crosses the upright plane.
     lens : (2,) point of the aperture on its path; by default the middle.
 
-    Returns
-    -------
-    Sensor coordinates (n, 2), and whether the light meets the sensor behind the lens.
+    Returns sensor coordinates (n, 2), and whether the light meets the sensor behind the lens.
     """
     axes, start = sensor_axes(tilt_deg), np.zeros(2) if lens is None else -lens
     along = image - start  # from the lens to the upright plane, where the depth is 1

@@ -40,21 +40,12 @@ class PlaneMap:
     error_px: float
 
 
-def plane_map(camera: CameraModel, grid: Grid, z_mm: float, degree: int) -> PlaneMap:
-    """Fit the map of the plane at `z_mm` onto a camera's image.
-
-    Raises
-    ------
-    ValueError
-        Some of the plane has no light path to the camera.
-    """
-    return _maps_of_degree(camera, grid, np.array([z_mm]), degree)[0]
-
-
 def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap]]:
     """Fit maps of all planes (outer list) onto all cameras (inner list).
 
     They are of the lowest common degree within `TOLERANCE_PX`.
+
+    Raises ValueError: some of a plane has no light path to a camera, or no degree is enough.
     """
     depths = grid.axes_mm[2]
     degree = max(
@@ -73,10 +64,7 @@ def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap
 def fit_polynomials(function: Smooth, degree: int) -> tuple[F64, F64]:
     """Fit polynomials of a total degree to a smooth function.
 
-    Returns
-    -------
-    coefficients : (m, terms).
-    errors : (m,) largest error of each, measured between the nodes.
+    Returns coefficients (m, terms), and the largest error (m,) of each between the nodes.
     """
     nodes = np.cos(np.pi * (np.arange(degree + 3) + 0.5) / (degree + 3))
     between = np.linspace(-1.0, 1.0, 2 * degree + 5)

@@ -156,11 +156,8 @@ class PlanePolynomials(_Fitted):
 def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Soloff:
     """Fit the least-squares polynomial of points (n, 3) and their pixels (n, 2).
 
-    Raises
-    ------
-    InputError
-        Fewer points than its 19 terms, or points that do not determine them, e.g. on fewer than
-        three planes.
+    Raises InputError: fewer points than its 19 terms, or points that do not determine them, e.g. on
+    fewer than three planes.
     """
     middle, half = _box(points_mm)
     coefficients = _fit_terms(
@@ -176,10 +173,8 @@ def fit_planes(
 
     Each plane has a least-squares fit of its own.
 
-    Raises
-    ------
-    InputError
-        Fewer than two planes, or a plane with points that do not determine its 6 terms.
+    Raises InputError: fewer than two planes, or a plane with points that do not determine its 6
+    terms.
     """
     if len(points_mm) < 2:
         raise InputError(f"{name}: expected points on two planes at least, got {len(points_mm)}")

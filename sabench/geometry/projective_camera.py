@@ -71,10 +71,7 @@ def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F
 
     The sum of squared reprojection errors is then minimised.
 
-    Raises
-    ------
-    InputError
-        Fewer than 6 points, or points in one plane, which do not determine it.
+    Raises InputError: fewer than 6 points, or points in one plane, which do not determine it.
     """
     (positions, world), (images, image) = _normalise(points_mm), _normalise(pixels)
     full = np.column_stack([positions, np.ones(len(positions))])

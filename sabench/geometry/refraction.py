@@ -37,9 +37,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F
         arrays (n,), positive or zero.
     radius_mm : (n,) lateral distance between the ends of the path.
 
-    Returns
-    -------
-    slope : (n,) t >= 0.
+    Returns t >= 0 (n,).
     """
     relative = indices / indices.min()
     quick = _halley(relative, depths_mm, radius_mm)
@@ -205,31 +203,19 @@ class Rays:
 class AnyWall(Protocol):
     """Wall of any shape between a camera's medium and the fluid."""
 
-    @property
-    def air_index(self) -> float:
-        """Refractive index on the cameras' side."""
-
-    @property
-    def fluid_index(self) -> float:
-        """Refractive index in the tank."""
-
-    @property
-    def layers(self) -> tuple[Layer, ...]:
-        """Solid layers, in the order along light from a camera."""
+    air_index: float
+    layers: tuple[Layer, ...]
+    fluid_index: float
 
     @property
     def thickness_mm(self) -> float:
         """Distance from the outer to the inner face."""
+        return sum(layer.thickness_mm for layer in self.layers)
 
     @property
     def indices(self) -> F64:
         """Indices of all media along the way of light from a camera: (2 + layers,)."""
-
-    def depth_of(self, points_mm: F64) -> F64:
-        """Compute the signed distance of points (..., 3) behind the outer face, mm."""
-
-    def normal_at(self, point_mm: F64) -> F64:
-        """Compute the unit normal (3,) into the tank, nearest to a point (3,)."""
+        return np.array([self.air_index, *(layer.index for layer in self.layers), self.fluid_index])
 
     def paths(self, pinhole_mm: F64, points_mm: F64) -> Paths:
         """Trace paths of light; see `trace_to_points`."""
@@ -245,7 +231,7 @@ class AnyWall(Protocol):
 
 
 @dataclass(frozen=True)
-class Wall:
+class Wall(AnyWall):
     """Stack of parallel layers between the cameras' medium and the fluid.
 
     Attributes
@@ -264,16 +250,6 @@ class Wall:
     layers: tuple[Layer, ...]
     fluid_index: float
     depth_mm: float | None = None
-
-    @property
-    def thickness_mm(self) -> float:
-        """Distance from the outer to the inner face."""
-        return sum(layer.thickness_mm for layer in self.layers)
-
-    @property
-    def indices(self) -> F64:
-        """Indices of all media along the way of light from a camera: (2 + layers,)."""
-        return np.array([self.air_index, *(layer.index for layer in self.layers), self.fluid_index])
 
     @property
     def interface_depths_mm(self) -> F64:

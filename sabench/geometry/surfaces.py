@@ -48,10 +48,7 @@ class Surface(Table):
     def axes_mm(self) -> tuple[F64, F64]:
         """Coordinates u of the columns and v of the rows, at least two of each.
 
-        Raises
-        ------
-        InputError
-            More pixels than fit into memory.
+        Raises InputError: more pixels than fit into memory.
         """
         low, high = self.ends_mm
         counts = np.maximum(np.floor((high - low) / self.pixel_mm * (1.0 + 1e-12)) + 1.0, 2.0)
@@ -143,10 +140,7 @@ def bend(points_mm: F64, radius_mm: float) -> F64:
     Points at Z = 0 come to lie on the cylinder of that radius. The form is exact for radii of any
     size, up to the plane: both sines come without a difference of large numbers.
 
-    Raises
-    ------
-    InputError
-        Points that would be wrapped around the axis more than once.
+    Raises InputError: points that would be wrapped around the axis more than once.
     """
     x, y, z = np.moveaxis(np.asarray(points_mm, dtype=np.float64), -1, 0)
     least = float(np.abs(x).max(initial=0.0)) / np.pi

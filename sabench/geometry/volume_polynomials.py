@@ -47,10 +47,7 @@ def fit_volume_polynomials(
     ----------
     low_mm, high_mm : (3,) opposite corners of the box.
 
-    Raises
-    ------
-    ValueError
-        A part of the box has no light path to a camera, or no degree is enough.
+    Raises ValueError: a part of the box has no light path to a camera, or no degree is enough.
     """
     middle, half = (low_mm + high_mm) / 2.0, (high_mm - low_mm) / 2.0
     nodes = _HIGHEST + 2

@@ -57,10 +57,7 @@ def counts_per_frame(radii_mm: Sequence[F64], edges_mm: F64) -> list[Mean]:
     radii_mm : radii (n,) of each frame.
     edges_mm : (bins + 1,) edges of the bins, rising.
 
-    Raises
-    ------
-    ValueError
-        No frame.
+    Raises ValueError: no frame.
     """
     if not len(radii_mm):
         raise ValueError("radii_mm: expected those of one frame or more, got none")
@@ -89,9 +86,7 @@ def match_bubbles(estimate_mm: F64, truth_mm: F64, radius_mm: F64) -> tuple[I64,
     estimate_mm, truth_mm : centres (n, 3) and (m, 3).
     radius_mm : (m,) true radii; a pair is closer than half of it.
 
-    Returns
-    -------
-    Rows of the detected and of the true ones, equally long.
+    Returns rows of the detected and of the true ones, equally long.
     """
     near: Sequence[Sequence[int]] = []
     if len(estimate_mm) and len(truth_mm):

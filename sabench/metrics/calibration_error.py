@@ -317,10 +317,8 @@ def align_particles(
 ) -> tuple[F64, F64, F64]:
     """Move true particles (n, 3) into the estimated cameras' frame by a rigid fit.
 
-    Returns
-    -------
-    The moved particles (n, 3), their images by the estimated cameras (camera, n, 2), and the
-    positions (n, 3) where these cameras triangulate the exact images. With fewer than three
+    Returns the moved particles (n, 3), their images by the estimated cameras (camera, n, 2), and
+    the positions (n, 3) where these cameras triangulate the exact images. With fewer than three
     triangulated particles nothing is moved and the images are NaN.
     """
     triangulated = triangulate(cameras, true_pixels)

@@ -50,10 +50,8 @@ def compare_with_single_views(cells: F64, single_cells: F64, dark: Bool) -> dict
     single_cells : (camera, cell) mean brightness of each cell in each camera's image.
     dark : (cell,) which are dark.
 
-    Returns
-    -------
-    The figures of `reading`, and single_percent, best_single_percent, single_separation: mean and
-    largest part that one image shows, and the mean separation.
+    Returns the figures of `reading`, and single_percent, best_single_percent, single_separation:
+    mean and largest part that one image shows, and the mean separation.
     """
     single = [reading(view, dark) for view in single_cells]
     percent = [view["read_percent"] for view in single]
@@ -81,9 +79,7 @@ def single_views(
     cameras : the true cameras.
     points_mm : (cell, point, 3) points spread over each cell, world frame.
 
-    Returns
-    -------
-    NaN for a cell that is not completely inside a camera's image.
+    Returns NaN for a cell that is not completely inside a camera's image.
     """
     out = np.empty((len(cameras), len(points_mm)))
     for cells, image, camera in zip(out, images, cameras, strict=True):

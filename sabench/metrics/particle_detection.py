@@ -4,23 +4,22 @@ Particles are connected components of bright voxels, or local maxima with sub-vo
 among 26 neighbours.
 """
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import label, maximum_filter
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from sabench.utils.arrays import F32, F64, I64, Bool
 
+_AROUND = np.ones((3, 3, 3), dtype=np.bool_)
+
 
 def component_sums(volume: F32, floor: float) -> F64:
     """Sum E, E x, E y, E z (n, 4) over the voxels of each component of E >= floor."""
-    numbers, count = label(volume >= floor, np.ones((3, 3, 3), dtype=np.bool_))
+    numbers, count = label(volume >= floor, _AROUND)
     sums = np.zeros((4, count))
     for z, (plane, labels) in enumerate(zip(volume, numbers, strict=True)):
         y, x = np.nonzero(labels)
@@ -30,9 +29,6 @@ def component_sums(volume: F32, floor: float) -> F64:
     return np.ascontiguousarray(sums.T)
 
 
-_AROUND = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
-
-
 def fitted_maxima(volume: F32, floor: float) -> F64:
     """Locate the maxima of E >= floor as fractional voxel indices (n, 3) of x, y, z.
 
@@ -40,55 +36,20 @@ def fitted_maxima(volume: F32, floor: float) -> F64:
     so is a plateau, connected voxels of one value, that no neighbour exceeds, at the mean of its
     voxels.
     """
-    highest_around = maximum_filter(volume, 3, mode="nearest")
-    highest = np.flatnonzero((volume >= floor) & (volume == highest_around))
-    tied = np.zeros(len(highest), dtype=np.bool_)
-    for step in _AROUND:
-        _, equal = _equals(volume, highest, step)
-        tied[equal] = True
-    first, place = _plateaus(volume, highest[tied])
-    single = highest[~tied]
-    order = np.argsort(np.concatenate([single, first]))
-    return np.concatenate([_fit(volume, single), place])[order]
-
-
-def _equals(volume: F32, voxels: I64, step: tuple[int, ...]) -> tuple[I64, I64]:
-    """Find equal neighbours a step away: flat indices, rows of the voxels."""
-    places = np.unravel_index(voxels, volume.shape)
-    inside = np.ones(len(voxels), dtype=np.bool_)
-    for place, shift, size in zip(places, step, volume.shape, strict=True):
-        inside &= (place + shift >= 0) & (place + shift < size)
-    rows = np.flatnonzero(inside)
-    away = (step[0] * volume.shape[1] + step[1]) * volume.shape[2] + step[2]
-    near, flat = voxels[rows] + away, volume.reshape(-1)
-    equal = flat[near] == flat[voxels[rows]]
-    return near[equal], rows[equal]
-
-
-def _plateaus(volume: F32, tied: I64) -> tuple[I64, F64]:
-    """Join voxels that no neighbour exceeds and some equal.
-
-    Returns the first voxel of each plateau that is a maximum, and its mean (n, 3) of x, y, z.
-    """
-    if not len(tied):
-        return tied, np.zeros((0, 3))
-    lower, pairs = np.zeros(len(tied), dtype=np.bool_), [np.zeros((2, 0), dtype=np.int64)]
-    for step in _AROUND:
-        near, rows = _equals(volume, tied, step)
-        place = np.minimum(np.searchsorted(tied, near), len(tied) - 1)
-        among: Bool = tied[place] == near
-        lower[rows[~among]] = True  # a voxel of the same value has a higher neighbour
-        pairs.append(np.stack([rows[among], place[among]]))
-    left, right = np.concatenate(pairs, axis=1)
-    links = csr_array((np.ones(len(left), dtype=np.bool_), (left, right)), shape=(len(tied),) * 2)
-    count, label = connected_components(links, directed=False)
-    places = np.stack(np.unravel_index(tied, volume.shape)[::-1], axis=1).reshape(-1, 3)
-    size = np.bincount(label, minlength=count)
-    total = [np.bincount(label, weights=axis, minlength=count) for axis in places.T]
-    first = np.zeros(count, dtype=np.int64)
-    first[label[::-1]] = tied[::-1]
-    highest = np.bincount(label[lower], minlength=count) == 0
-    return first[highest], (np.stack(total, axis=1) / size[:, None])[highest]
+    highest = (volume >= floor) & (volume == maximum_filter(volume, 3, mode="nearest"))
+    # neighbours among these are equal; an equal one beside them is lower than another voxel
+    beside = maximum_filter(np.where(highest, np.float32(-np.inf), volume), 3, mode="nearest")
+    leads_up = (beside == volume)[highest]
+    del beside
+    voxels = np.flatnonzero(highest)
+    plateau = label(highest, _AROUND)[0][highest] - 1
+    _, first, size = np.unique(plateau, return_index=True, return_counts=True)
+    places = np.unravel_index(voxels, volume.shape)[::-1]
+    position = np.stack([np.bincount(plateau, axis) / size for axis in places], axis=1)
+    top = np.bincount(plateau, leads_up) == 0.0
+    single = top & (size == 1)
+    position[single] = _fit(volume, voxels[first[single]])
+    return np.asarray(position[top][np.argsort(first[top])])
 
 
 def _fit(volume: F32, voxels: I64) -> F64:

@@ -17,6 +17,7 @@ from sabench.metrics import particle_detection as detection
 from sabench.metrics.quality_factor import quality
 from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, U8, Bool
+from sabench.utils.compiled import numba
 
 
 def true_field(grid: Grid, particles: Particles, views: Sequence[ParticleView]) -> F32:
@@ -30,10 +31,7 @@ def true_field(grid: Grid, particles: Particles, views: Sequence[ParticleView]) 
     ----------
     views : what each camera receives of the same particles.
 
-    Raises
-    ------
-    InputError
-        The field does not fit into memory.
+    Raises InputError: the field does not fit into memory.
     """
     check_volume(grid)
     if not len(particles):
@@ -121,47 +119,19 @@ def _alone(truth: F64, lit: Bool, shape: tuple[int, ...]) -> Bool:
     return alone
 
 
-def _find_steps(volume: F32) -> U8:
+@numba.njit(cache=True)
+def _find_steps(volume: Any) -> Any:
     """Find the number of each voxel's first brightest neighbour, 13 for itself."""
-    step = np.empty(volume.shape, dtype=np.uint8)
-    last = len(volume) - 1
-    before = here = _brightest_in_plane(volume[0])
-    for z, plane in enumerate(volume):
-        after = _brightest_in_plane(volume[min(z + 1, last)])
-        best, number = here[0].copy(), here[1] + np.uint8(9)
-        if z > 0:
-            np.copyto(number, before[1], where=before[0] >= best)
-            np.maximum(best, before[0], out=best)
-        if z < last:
-            np.copyto(number, after[1] + np.uint8(18), where=after[0] > best)
-            np.maximum(best, after[0], out=best)
-        step[z] = np.where(best > plane, number, np.uint8(_HERE))
-        before, here = here, after
+    step, (depth, rows, columns) = np.empty(volume.shape, np.uint8), volume.shape
+    for z, y, x in np.ndindex(volume.shape):
+        best, number = volume[z, y, x], _HERE
+        for i in range(max(z - 1, 0), min(z + 2, depth)):
+            for j in range(max(y - 1, 0), min(y + 2, rows)):
+                for k in range(max(x - 1, 0), min(x + 2, columns)):
+                    if volume[i, j, k] > best:
+                        best, number = volume[i, j, k], ((i - z) * 3 + j - y) * 3 + k - x + _HERE
+        step[z, y, x] = number
     return step
-
-
-def _brightest_in_plane(plane: F32) -> tuple[F32, U8]:
-    """Find the brightest of 9 pixels, and the number of the first such one."""
-    numbers = np.full_like(plane, 4, dtype=np.uint8)
-    along_rows = (slice(None), slice(None, -1)), (slice(None), slice(1, None))
-    across = _brightest_of_three(plane, numbers, np.uint8(1), *along_rows)
-    return _brightest_of_three(*across, np.uint8(3), slice(None, -1), slice(1, None))
-
-
-def _brightest_of_three(
-    values: F32, numbers: U8, stride: np.uint8, first: Any, second: Any
-) -> tuple[F32, U8]:
-    """Find the brightest of three in a line, and the first such one's number.
-
-    Numbers are those of the middle one, and the others' are a stride lower and higher. The first
-    and the second of each pair of neighbours are given as slices.
-    """
-    best, number = values.copy(), numbers.copy()
-    np.copyto(number[second], numbers[first] - stride, where=values[first] >= values[second])
-    np.maximum(best[second], values[first], out=best[second])
-    np.copyto(number[first], numbers[second] + stride, where=values[second] > best[first])
-    np.maximum(best[first], values[second], out=best[first])
-    return best, number
 
 
 def _climb(volume: F32, step: U8, summits: I64) -> F64:

@@ -34,9 +34,7 @@ def accelerations(frames: Sequence[tuple[I64, F64]], duration: float) -> tuple[I
     frames : numbers (n,) and positions (n, 3) in each of the three, n differs.
     duration : between two frames; equal for both pairs.
 
-    Returns
-    -------
-    Rows (k,) of the middle frame with numbers in all three, and accelerations (k, 3).
+    Returns rows (k,) of the middle frame with numbers in all three, and accelerations (k, 3).
     """
     (first, before), (middle, now), (last, after) = frames
     _, i, j = np.intersect1d(first, middle, return_indices=True)

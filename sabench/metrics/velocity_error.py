@@ -54,10 +54,7 @@ def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
     It is centred in the rectangle around the part of the plane in the scored box; the nodes in the
     box are valid. Its `plane_axes` are as near to the grid's axes as the plane allows.
 
-    Raises
-    ------
-    InputError
-        A plane outside the scored part of the grid.
+    Raises InputError: a plane outside the scored part of the grid.
     """
     low, high = grid.scored_box_mm
     outline = cut_box(low, high, point_mm, normal)

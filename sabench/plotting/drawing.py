@@ -284,10 +284,8 @@ def _circles(axes: Any, circles: Circles, colour: str) -> None:
 def _picture(axes: Any, picture: Picture) -> None:
     rows, columns = picture.values.shape
     (left, top), (right, bottom) = picture.low, picture.high
-    half_x, half_y = (
-        (right - left) / max(columns - 1, 1) / 2.0,
-        (bottom - top) / max(rows - 1, 1) / 2.0,
-    )
+    half_x = (right - left) / max(columns - 1, 1) / 2.0
+    half_y = (bottom - top) / max(rows - 1, 1) / 2.0
     extent = (left - half_x, right + half_x, bottom + half_y, top - half_y)
     dark, bright = np.percentile(picture.values, [0.0, 99.9])
     scale = {"cmap": "gray", "vmin": dark, "vmax": max(bright, dark + 1e-12)}

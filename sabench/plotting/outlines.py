@@ -3,21 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from sabench.utils.arrays import F64
 from sabench.utils.number_text import round_down
 
-_Kind = Literal["camera", "ray", "wall", "sheet", "volume"]
-OUTLINE_KINDS: tuple[_Kind, ...] = (
-    "sheet",
-    "volume",
-    "wall",
-    "ray",
-    "camera",
-)  # as they are painted
+_Kind = Literal["sheet", "volume", "wall", "ray", "camera"]  # as they are painted
+OUTLINE_KINDS: tuple[_Kind, ...] = get_args(_Kind)
 
 # Okabe and Ito: colours that the colour-blind can distinguish
 STYLE = """

@@ -247,9 +247,7 @@ def with_cell_means(positions: F64, errors: F64, rows: int, columns: int) -> tup
     ----------
     positions, errors : (n, 2) in px; NaN for none.
 
-    Returns
-    -------
-    Positions and errors (2, 1, n, 2), in cells of a twelfth of the longer side.
+    Returns positions and errors (2, 1, n, 2), in cells of a twelfth of the longer side.
     """
     side = max(rows, columns) / _CELLS
     finite = np.isfinite(positions).all(axis=1) & np.isfinite(errors).all(axis=1)

@@ -48,10 +48,7 @@ def build_wall(spec: WallSpec | CylinderSpec) -> TankWall:
 def build_walls(wall: WallTable | None) -> tuple[TankWall, ...]:
     """Build all walls of a tank; none in plain air.
 
-    Raises
-    ------
-    InputError
-        Walls with different fluids behind them, or a mirroring wall among several.
+    Raises InputError: walls with different fluids behind them, or a mirroring wall among several.
     """
     specs = wall_tables(wall)
     for number, spec in enumerate(specs):
@@ -92,11 +89,8 @@ def wall_towards(walls: Sequence[TankWall], center_mm: F64, target_mm: F64) -> T
 def check_one_face(camera: Camera, walls: Sequence[TankWall], corners: F64) -> None:
     """Check that a camera sees a volume's corners (8, 3) through its own wall alone.
 
-    Raises
-    ------
-    InputError
-        A light path that crosses the edge between two walls, or an image of a corner on the sensor
-        through another wall.
+    Raises InputError: a light path that crosses the edge between two walls, or an image of a corner
+    on the sensor through another wall.
     """
     facing = next(i for i, wall in enumerate(walls) if wall is camera.wall)
     for number, other in enumerate(walls):
@@ -267,12 +261,10 @@ class Rig:
 def build_rig(scene: Scene, source: str = "scene") -> Rig:
     """Build and check the rig; `source` is named in errors.
 
-    Raises
-    ------
-    InputError
-        All of: cameras in the wall or the tank, or that face two walls, a volume that is not wholly
-        in the fluid, a grid that does not fit, a volume that no camera sees, occluders that are not
-        between the cameras and the wall (or the volume), a backlight that is not behind the volume.
+    Raises InputError for all of these: cameras in the wall or the tank or that face two walls, a
+    volume that is not wholly in the fluid, a grid that does not fit, a volume that no camera sees,
+    occluders that are not between the cameras and the wall (or the volume), a backlight that is not
+    behind the volume.
     """
     check, count = Collector(source), scene.cameras.count
     if count > _MOST_CAMERAS:

@@ -60,10 +60,7 @@ def tilt_sensor(camera: Camera, target_mm: F64, normal: F64) -> Camera:
     The plane passes through a target on the optical axis and has a unit normal, both in the world.
     It appears bent behind a wall; the tilt is that of its tangent at the target.
 
-    Raises
-    ------
-    InputError
-        A plane that the camera looks along.
+    Raises InputError: a plane that the camera looks along.
     """
     right, down, _ = frame_of_normal(normal)
     image, inverse = [], []

@@ -21,10 +21,7 @@ def find(name: str | Path, folder: str) -> Path:
 
     Bundled folders are scenes and scenes/suites; suites are also found in reproduction/suites.
 
-    Raises
-    ------
-    InputError
-        No such file, with the nearest name.
+    Raises InputError: no such file, with the nearest name.
     """
     direct = Path(name)
     longest = max((len(part.encode("utf-8", "replace")) for part in direct.parts), default=0)
@@ -50,11 +47,8 @@ def find(name: str | Path, folder: str) -> Path:
 def load_scene(path: str | Path) -> Scene:
     """Read and check a scene file; `path` may also be the name of a bundled scene.
 
-    Raises
-    ------
-    InputError
-        No such file, not TOML, an unknown key (with the nearest valid one), a wrong value or an
-        impossible geometry.
+    Raises InputError: no such file, not TOML, an unknown key (with the nearest valid one), a wrong
+    value or an impossible geometry.
     """
     file = find(path, "scenes")
     scene = read_scene(file)
@@ -76,10 +70,8 @@ def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None)
     source : named in errors.
     folder : where the generators' files are looked for.
 
-    Raises
-    ------
-    InputError
-        All unknown keys, missing keys and wrong values, also those of the generators.
+    Raises InputError: all unknown keys, missing keys and wrong values, also those of the
+    generators.
     """
     check, here = Collector(source), folder or Path()
     tables: dict[str, Any] = {}

@@ -38,10 +38,7 @@ def refractive_index(name: str, wavelength_nm: float, celsius: float = 20.0) -> 
 
     The temperature counts for water only.
 
-    Raises
-    ------
-    ValueError
-        An unknown name, or a wavelength or temperature outside the formula's range.
+    Raises ValueError: an unknown name, or a wavelength or temperature outside the formula's range.
     """
     medium = MEDIA.get(_ALIASES.get(name, name))
     if medium is None:

@@ -204,10 +204,7 @@ class Scene(Table):
     def particle_world(self) -> ParticleWorld:
         """Tracer particles of a scene that has some.
 
-        Raises
-        ------
-        InputError
-            A scene without particles.
+        Raises InputError: a scene without particles.
         """
         if (tracers := self.world.tracers) is None:
             raise InputError(f"{self.title}: particles: expected a scene with particles, got none")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     ConfigDict,
@@ -20,10 +20,38 @@ MOST_LAYERS = 20  # of a wall
 MOST_FACES = 12  # of a tank
 
 
-class LayerSpec(Table):
+class _Named(Table):
+    """Table with the refractive index of a material, which may be named in its place."""
+
+    model_config = ConfigDict(
+        json_schema_extra=lambda schema, cls: schema["required"].remove(cls.INDEX)
+    )
+    NAME: ClassVar[str]
+    INDEX: ClassVar[str]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_light(cls, values: Any) -> Any:
+        """Refuse a named material where no scene has added its index."""
+        named = isinstance(values, dict) and values.get(cls.NAME) is not None
+        if named and cls.INDEX not in values:
+            light = "the wavelength of a scene's light"
+            raise ValueError(f"expected {cls.INDEX}: {cls.NAME} needs {light}")
+        return values
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out the index of a named material: the scene's light determines it again."""
+        table: dict[str, Any] = handler(self)
+        if getattr(self, self.NAME) is not None:
+            table.pop(self.INDEX, None)
+        return table
+
+
+class LayerSpec(_Named):
     """Solid layer of the wall."""
 
-    model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("index"))
+    NAME, INDEX = "material", "index"
 
     name: str = Field("glass", description="name of the layer, for messages and files")
     material: str | None = Field(
@@ -35,41 +63,32 @@ class LayerSpec(Table):
     index: Index = Field(description="refractive index; left out with `material`")
     thickness_mm: Positive = Field(description="thickness of the layer")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _check_light(cls, values: Any) -> Any:
-        return _with_index(values, "material", "index")
 
-    @model_serializer(mode="wrap")
-    def _leave_out(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the index of a named material: the scene's light determines it again."""
-        return _without("index", handler(self), self.material)
-
-
-class _BeforeFluid(Table):
-    """Wall before a fluid, which may be named in place of its index."""
-
-    model_config = ConfigDict(
-        json_schema_extra=lambda schema: schema["required"].remove("fluid_index")
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_light(cls, values: Any) -> Any:
-        return _with_index(values, "fluid", "fluid_index")
-
-    @model_serializer(mode="wrap")
-    def _leave_out(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the index of a named fluid: the scene's light determines it again."""
-        return _without("fluid_index", handler(self), getattr(self, "fluid", None))
+AirIndex = Annotated[Index, Field(description="refractive index on the cameras' side")]
+FluidName = Annotated[
+    str | None,
+    Field(
+        description="name of a fluid whose index at the light's wavelength is known, instead of "
+        "`fluid_index`",
+        examples=["water"],
+    ),
+]
+WaterCelsius = Annotated[
+    float | None, Field(description="temperature of water; 20 by default", examples=[20.0])
+]
+FluidIndex = Annotated[
+    Index, Field(description="refractive index of the fluid; left out with `fluid`")
+]
 
 
-class WallSpec(_BeforeFluid):
+class WallSpec(_Named):
     """Plane tank wall between the cameras and the fluid.
 
     A scene without this table is in plain air. A list of these tables describes a tank with
     cameras that look through several faces.
     """
+
+    NAME, INDEX = "fluid", "fluid_index"
 
     shape: Literal["plane"] | None = Field(
         None, description="`plane`; the other shape, `cylinder`, has other keys", examples=["plane"]
@@ -79,20 +98,13 @@ class WallSpec(_BeforeFluid):
     normal: Direction = Field(
         (0.0, 0.0, 1.0), description="direction from the cameras into the tank"
     )
-    air_index: Index = Field(1.0, description="refractive index on the cameras' side")
+    air_index: AirIndex = 1.0
     layers: tuple[LayerSpec, ...] = Field(
         (), max_length=MOST_LAYERS, description="solid layers, the cameras' side first"
     )
-    fluid: str | None = Field(
-        None,
-        description="name of a fluid whose index at the light's wavelength is known, instead of "
-        "`fluid_index`",
-        examples=["water"],
-    )
-    temperature_c: float | None = Field(
-        None, description="temperature of water; 20 by default", examples=[20.0]
-    )
-    fluid_index: Index = Field(description="refractive index of the fluid; left out with `fluid`")
+    fluid: FluidName = None
+    temperature_c: WaterCelsius = None
+    fluid_index: FluidIndex
     depth_mm: Positive | None = Field(
         None, description="distance from the inner face to the back wall"
     )
@@ -108,30 +120,25 @@ class WallSpec(_BeforeFluid):
     )
 
 
-class CylinderSpec(_BeforeFluid):
+class CylinderSpec(_Named):
     """Round tank: coaxial cylinders around the fluid, with the cameras outside.
 
     The cylinder has no ends.
     """
 
+    NAME, INDEX = "fluid", "fluid_index"
+
     shape: Literal["cylinder"] = Field(description="`cylinder`, a round tank")
     axis_point_mm: Vector = Field((0.0, 0.0, 0.0), description="a point on the axis")
     axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the axis")
     outer_radius_mm: Positive = Field(description="radius of the outer face")
-    air_index: Index = Field(1.0, description="refractive index on the cameras' side")
+    air_index: AirIndex = 1.0
     layers: tuple[LayerSpec, ...] = Field(
         (), max_length=MOST_LAYERS, description="solid layers, the outermost first"
     )
-    fluid: str | None = Field(
-        None,
-        description="name of a fluid whose index at the light's wavelength is known, instead of "
-        "`fluid_index`",
-        examples=["water"],
-    )
-    temperature_c: float | None = Field(
-        None, description="temperature of water; 20 by default", examples=[20.0]
-    )
-    fluid_index: Index = Field(description="refractive index of the fluid; left out with `fluid`")
+    fluid: FluidName = None
+    temperature_c: WaterCelsius = None
+    fluid_index: FluidIndex
 
     @property
     def inner_radius_mm(self) -> float:
@@ -173,17 +180,6 @@ def wall_tables(wall: WallTable | None) -> tuple[WallSpec | CylinderSpec, ...]:
     if wall is None:
         return ()
     return wall if isinstance(wall, tuple) else (wall,)
-
-
-def _with_index(values: Any, name: str, index: str) -> Any:
-    """Refuse a named material where no scene has added its index."""
-    if isinstance(values, dict) and values.get(name) is not None and index not in values:
-        raise ValueError(f"expected {index}: {name} needs the wavelength of a scene's light")
-    return values
-
-
-def _without(key: str, table: dict[str, Any], material: str | None) -> dict[str, Any]:
-    return table if material is None else {name: table[name] for name in table if name != key}
 
 
 class OccluderSpec(Table):

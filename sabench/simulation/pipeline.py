@@ -55,10 +55,8 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies:
     if isinstance(world, TargetWorld) and world.lighting is None:  # without images
         return
     disk = next(path for path in (folder, *folder.parents) if path.exists())
-    free, stored = (
-        shutil.disk_usage(disk).free / 1e6,
-        pixels * pictures * np.dtype(np.uint16).itemsize / 1e6,
-    )
+    free = shutil.disk_usage(disk).free / 1e6
+    stored = pixels * pictures * np.dtype(np.uint16).itemsize / 1e6
     if stored > free:
         key = "frames" if copies == 1 else "samples"
         raise InputError(

@@ -39,10 +39,7 @@ def nested(matrix: F64) -> Rows:
 def rows_of(values: npt.ArrayLike, width: int, what: str) -> F64:
     """Return `values` as a float64 array of shape (n, width).
 
-    Raises
-    ------
-    ValueError
-        Another shape; `what` names the values.
+    Raises ValueError: another shape; `what` names the values.
     """
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != width:

@@ -55,11 +55,8 @@ def choose() -> Backend:
 
     SABENCH_BACKEND=llvm or =cuda overrides the choice.
 
-    Raises
-    ------
-    InputError
-        There is no working backend, or the requested one does not work; the message says how to
-        fix it.
+    Raises InputError: there is no working backend, or the requested one does not work; the message
+    says how to fix it.
     """
     asked = os.environ.get(CHOICE_VARIABLE, "auto")
     if asked not in ("auto", "cuda", "llvm"):

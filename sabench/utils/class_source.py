@@ -46,10 +46,7 @@ class SourceFile:
 def parse_file(file: Path) -> SourceFile:
     """Read the classes and imports at the top level of a file.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read or is no Python.
+    Raises InputError: the file cannot be read or is no Python.
     """
     try:
         statements = ast.parse(file.read_bytes(), str(file)).body

@@ -158,22 +158,13 @@ def series_hash(path: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a file of this name.
-
-    It is False for a name that no disk can hold.
-    """
-    try:
-        return path.is_file()
-    except OSError:
-        return False
+    """Return whether there is a file; no for a name that no disk can hold."""
+    return os.path.isfile(path)  # noqa: PTH113  # pathlib's raises an OSError
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether there is a folder of this name, as `is_file` does for files."""
-    try:
-        return path.is_dir()
-    except OSError:
-        return False
+    """Return whether there is a folder, as `is_file` does for files."""
+    return os.path.isdir(path)  # noqa: PTH112
 
 
 def sha256(path: Path) -> str:
@@ -207,7 +198,9 @@ def read_json(path: Path) -> Any:
             raise ValueError(f"{path.stat().st_size} bytes where {LARGEST_TEXT} are allowed")
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected a JSON file, got {_short(error)}") from error
+        first = str(error).splitlines()[0] if str(error) else "no detail"
+        reason = f"{type(error).__name__}: {first}"
+        raise InputError(f"{path}: expected a JSON file, got {reason}") from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -221,10 +214,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def inside(root: Path, name: str) -> Path:
     """Return the path of the file `name` in the folder `root`.
 
-    Raises
-    ------
-    InputError
-        The name leads outside, or through a link.
+    Raises InputError: the name leads outside, or through a link.
     """
     path = root / name
     parts = Path(name).parts
@@ -233,10 +223,6 @@ def inside(root: Path, name: str) -> Path:
     if bad or any((root / Path(*parts[: i + 1])).is_symlink() for i in range(len(parts))):
         raise InputError(f"{root}: expected a plain file inside the folder, got {name!r}")
     return path
-
-
-def _short(error: Exception) -> str:
-    return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no detail'}"
 
 
 def zip_folder(folder: Path, out: Path) -> None:

@@ -56,10 +56,7 @@ class NumberTable:
 def read_text(path: Path) -> str:
     """Read a text file of any usual encoding.
 
-    Raises
-    ------
-    InputError
-        No file, a binary one, or one of more than 2 GB.
+    Raises InputError: no file, a binary one, or one of more than 2 GB.
     """
     if not path.is_file():
         kind = "a folder" if path.is_dir() else "none"
@@ -86,10 +83,8 @@ def content_lines(path: Path) -> list[tuple[int, str]]:
 def split_numbers(line: str, where: str, count: int | None = None) -> list[float]:
     """Read the numbers of a line, apart by commas or spaces.
 
-    Raises
-    ------
-    InputError
-        A word that is no finite number, or another number of them; `where` opens the sentence.
+    Raises InputError: a word that is no finite number, or another number of them; `where` opens the
+    sentence.
     """
     words = [word for word in re.split(r"[,;\s]+", line.strip()) if word]
     try:
@@ -119,10 +114,8 @@ def read_table(
     missing : whether values may be NaN or empty.
     skip_lines : lines at the top of the file that are left out.
 
-    Raises
-    ------
-    InputError
-        A line of another number of columns, or a word that is no number, with the line's number.
+    Raises InputError: a line of another number of columns, or a word that is no number, with the
+    line's number.
     """
     lines = [line for line in content_lines(path) if line[0] > skip_lines]
     mark = _separator(lines)

@@ -159,10 +159,8 @@ Model = typing.TypeVar("Model", bound=BaseModel)
 def validate(model: type[Model], values: dict[str, Any], source: str, prefix: str = "") -> Model:
     """Make a model of `values`.
 
-    Raises
-    ------
-    InputError
-        All faults of the values, each with its key behind `prefix`; `source` is named first.
+    Raises InputError: all faults of the values, each with its key behind `prefix`; `source` is
+    named first.
     """
     try:
         return model.model_validate(values)

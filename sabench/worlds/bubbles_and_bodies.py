@@ -46,11 +46,8 @@ class Phases:
     def bubbles(self, frame: int) -> Bubbles:
         """Make the bubbles of a frame.
 
-        Raises
-        ------
-        InputError
-            One that a wall cuts, that reaches into a body, or into another one although the scene
-            does not allow that.
+        Raises InputError: one that a wall cuts, that reaches into a body, or into another one
+        although the scene does not allow that.
         """
         if self._bubbles is None:
             none = np.zeros((0, 3))
@@ -85,10 +82,7 @@ class Phases:
     def bodies(self, frame: int) -> list[tuple[Solid, Material]]:
         """Make the bodies of a frame, each at its position.
 
-        Raises
-        ------
-        InputError
-            One that reaches out of the tank.
+        Raises InputError: one that reaches out of the tank.
         """
         out = []
         for number, (generator, body) in enumerate(zip(self._solids, self._bodies, strict=True)):

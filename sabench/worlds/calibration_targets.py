@@ -17,10 +17,7 @@ from sabench.utils.rng import stream
 def pose_target(scene: Scene, seed: int) -> Placed:
     """Put a scene's target at its position in every frame.
 
-    Raises
-    ------
-    InputError
-        A scene without a calibration target.
+    Raises InputError: a scene without a calibration target.
     """
     world = scene.world
     if not isinstance(world, TargetWorld):
@@ -78,10 +75,7 @@ def _hide_points(detection: Detection, exact: F64, half: F64) -> Bool:
 def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
     """Draw the prior knowledge of positions that the scene's table allows.
 
-    Raises
-    ------
-    InputError
-        A known point of a frame or number that the target does not have.
+    Raises InputError: a known point of a frame or number that the target does not have.
     """
     spec, exact = scene.calibration, placed.points_mm
     initial, given, sigma = exact.copy(), np.full_like(exact, np.nan), np.full_like(exact, np.nan)

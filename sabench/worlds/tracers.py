@@ -69,10 +69,7 @@ def flow_of(scene: Scene, seed: int = 0) -> Flow | None:
 
     The bodies that a flow goes around depend on the seed.
 
-    Raises
-    ------
-    InputError
-        A flow around bodies in a scene without bodies, or with bodies that move.
+    Raises InputError: a flow around bodies in a scene without bodies, or with bodies that move.
     """
     tracers = scene.world.tracers
     if tracers is None or tracers.flow is None:
@@ -102,10 +99,7 @@ def _bodies_flow(text: str, seed: int) -> BodyFlow:
 def require_flow(scene: Scene, seed: int = 0) -> Flow:
     """Make the flow of a scene that has one.
 
-    Raises
-    ------
-    InputError
-        A scene without a flow.
+    Raises InputError: a scene without a flow.
     """
     if (flow := flow_of(scene, seed)) is None:
         raise InputError(f"{scene.title}: flow: expected a scene with a flow, got none")
@@ -143,10 +137,7 @@ class Motion:
     def at(self, frame: int) -> Particles:
         """Make the particles of a frame.
 
-        Raises
-        ------
-        InputError
-            Particles that move by themselves, in addition to a flow.
+        Raises InputError: particles that move by themselves, in addition to a flow.
         """
         domain, time, flow = domain_of(self.scene), self.scene.time_s(frame), self._flow
         if flow is None:
@@ -192,10 +183,7 @@ class Motion:
 
         For Mie scattering, their diameters are rounded to the lattice of sizes.
 
-        Raises
-        ------
-        InputError
-            Diameters outside the range of Mie's series.
+        Raises InputError: diameters outside the range of Mie's series.
         """
         particles = self._generator.particles(domain, seed, frame, time_s)
         light = self.scene.light

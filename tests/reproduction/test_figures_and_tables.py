@@ -28,6 +28,7 @@ from reproduction.chapter_4_traverse import (
 from reproduction.chapter_5 import JETS, fall, froude, reynolds, table_5_1, weber
 from reproduction.chapter_6_grid import _join, _reference, _scene, _to_reference, measure_sharpness
 from reproduction.common import coarsen
+from reproduction.rise_velocity import Liquid
 from reproduction.theory import TABLE_3_1, Algorithm, normality, operations, plane_spacing_ratio
 from sabench.api import Calibration
 from sabench.geometry.camera import Camera
@@ -39,7 +40,6 @@ from sabench.scenes import build_rig, load_scene
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, LN2, JetLaw
-from sabench.worlds.library.rise_velocity import Liquid
 from tests.helpers.particle_scenes import SMALL
 from tests.helpers.refusals import refused
 

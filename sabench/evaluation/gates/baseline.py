@@ -144,11 +144,8 @@ def default_path(suite: Path) -> Path:
 def read_baseline(path: Path, suite: str) -> Baseline:
     """Read the baseline of a suite.
 
-    Raises
-    ------
-    InputError
-        No such file, not a baseline, one of another version or of another suite, or one with
-        missing entries.
+    Raises InputError: no such file, not a baseline, one of another version or of another suite, or
+    one with missing entries.
     """
     if not path.exists():
         raise InputError(

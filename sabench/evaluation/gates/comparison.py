@@ -57,9 +57,7 @@ def score_known_wrong(data: Dataset, out: Path) -> dict[str, float]:
 
     Temporary results are written to `out`.
 
-    Returns
-    -------
-    Scores by names like `probe.reconstruction.q`.
+    Returns scores by names like `probe.reconstruction.q`.
     """
     figures: dict[str, float] = {}
     for task in tasks.every():
@@ -275,11 +273,8 @@ def check(
     work : by default a temporary folder.
     solvers : names, or names with parameters.
 
-    Raises
-    ------
-    InputError
-        A bad suite, an unknown solver, solvers without any case for their task, or a baseline that
-        is broken or whose data sets another renderer made.
+    Raises InputError: a bad suite, an unknown solver, solvers without any case for their task, or a
+    baseline that is broken or whose data sets another renderer made.
     """
     source = find(suite, "scenes/suites")
     name, file = source.stem, path or default_path(source)

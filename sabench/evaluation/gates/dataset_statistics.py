@@ -22,11 +22,9 @@ def fingerprint(data: Dataset) -> dict[str, float]:
 
     Figures that do not exist, as for a camera that sees nothing, are left out.
 
-    Returns
-    -------
-    Figures by names like `camera_00.column_mean`. `retraced_px` is the largest distance of true
-    pixels from those of a second implementation of refraction (`retrace`), which reads the scene's
-    own numbers.
+    Returns figures by names like `camera_00.column_mean`. `retraced_px` is the largest distance of
+    true pixels from those of a second implementation of refraction (`retrace`), which reads the
+    scene's own numbers.
     """
     figures = dict(_truth(data)) | dict(_pictures(data))
     for number, camera in enumerate(data.true_cameras):

@@ -60,11 +60,8 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
     It is a result file, a folder or an archive (.zip, .tar, .tar.gz). Unpacked files are deleted at
     the end of the block.
 
-    Raises
-    ------
-    InputError
-        Nothing there, or forbidden content: links, devices, absolute paths, `..`,
-        two members of one name, or too much of anything.
+    Raises InputError: nothing there, or forbidden content: links, devices, absolute paths, `..`,
+    two members of one name, or too much of anything.
     """
     if path.is_symlink() or not path.exists():
         raise InputError(
@@ -255,11 +252,8 @@ def pack_results(
     files : results, and cards next to them.
     cards : further solver cards.
 
-    Raises
-    ------
-    InputError
-        Another ending of the archive's name, a file that is no result, a bad card, or a card that
-        belongs to no result.
+    Raises InputError: another ending of the archive's name, a file that is no result, a bad card,
+    or a card that belongs to no result.
     """
     check_archive_name(out)
     by_solver = read_cards(files.cards, cards)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from sabench import plugins, tasks
 from sabench.evaluation.leaderboard.page_content import (
+    ENTRY,
     cases_of,
     describe_cases,
     table_of,
@@ -142,12 +143,6 @@ def library() -> str:
     return escape_code(vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;"))
 
 
-_ENTRY = (
-    *("task", "recorded", "case", "scene_hash", "renderer", "split"),
-    *("solver", "parameters", "machine", "submission"),
-)
-
-
 def over_seeds(records: list[Record]) -> list[Record]:
     """Merge the records of all seeds into one row.
 
@@ -171,7 +166,7 @@ def over_seeds(records: list[Record]) -> list[Record]:
                 "split": record.get("split") or "public",
                 "recorded": bool(record.get("recorded")),
             }
-            groups.setdefault(key_of(named, _ENTRY), []).append(named)
+            groups.setdefault(key_of(named, ENTRY), []).append(named)
     return [_merge(group) for group in groups.values()]
 
 

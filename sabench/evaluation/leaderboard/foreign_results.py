@@ -76,10 +76,7 @@ def score_safely(label: str, file: Path, data: Dataset) -> dict[str, Any]:
 
     Returns what `score` does, and `estimate_hash`.
 
-    Raises
-    ------
-    InputError
-        A result that `score` refuses, or one that takes more than an hour.
+    Raises InputError: a result that `score` refuses, or one that takes more than an hour.
     """
     doing, time_s = f"result {printable(label)}", ProgramLimits.time_s
     return dict(call_isolated(_score, file, data.root, doing=doing, time_s=time_s))

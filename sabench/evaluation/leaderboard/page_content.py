@@ -58,7 +58,7 @@ _NO_RANK = "Recorded images have no truth: their results have no rank."
 _RESIDUALS = "The first frame's images of all cameras, then what the particles leave of each."
 _MAIN = 3  # scores that are shown before all are asked for, and the two of cost
 _CASE = ("task", "recorded", "case", "scene_hash", "renderer", "split")
-_ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
+ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")  # of a row of the page
 # largest degrees of freedom in the page's table of Student's quantiles; beyond them the last one is
 # a little too wide
 _DEGREES = 100
@@ -114,7 +114,7 @@ def _order(row: Record) -> tuple[Any, ...]:
         [(float(part), "") if number % 2 else (-1.0, part) for number, part in enumerate(parts)],
         rest,
         rank_of(row),
-        key_of(row, _ENTRY),
+        key_of(row, ENTRY),
     )
 
 
@@ -204,7 +204,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     # return seconds and first score after iterations of the first run that has them
     steps = next((run["iterations"] for run in runs if run.get("iterations")), None)
     return {
-        "id": hashlib.sha256(key_of(row, _ENTRY).encode()).hexdigest()[:10],
+        "id": hashlib.sha256(key_of(row, ENTRY).encode()).hexdigest()[:10],
         "case": case,
         "solver": pool(row.get("label") or row["solver"]),
         "name": pool(row["solver"]),

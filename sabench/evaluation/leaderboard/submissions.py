@@ -139,14 +139,9 @@ def submit(
     cards : solver cards, besides those in the archive or folder.
     date : by default today's.
 
-    Raises
-    ------
-    InputError
-        A bad name, archive, result or solver card, two results of one data set, solver and
-        parameters, a result of a data set that is not in `data`, or one that the submitter has sent
-        today already.
-    UncheckedError
-        A file could not be checked in the time for it.
+    Raises InputError: a bad name, archive, result or solver card, two results of one data set,
+    solver and parameters, a result of a data set that is not in `data`, or one that the submitter
+    has sent today already. Raises UncheckedError: a file could not be checked in the time for it.
     """
     _check_name(name)
     submission = {

@@ -165,10 +165,8 @@ def run_schedule(
 ) -> None:
     """Have workers do all tasks of a schedule; `name` names one that failed.
 
-    Raises
-    ------
-    UnfinishedError
-        Some tasks failed `TRIES` times; all others have been done, and their results are kept.
+    Raises UnfinishedError: some tasks failed `TRIES` times; all others have been done, and their
+    results are kept.
     """
     last: dict[Hashable, int] = {}
     with bar(doing, schedule.tasks) as advance:

@@ -58,11 +58,8 @@ def enter_fluid(light: Illumination, center_mm: F64, fluid_index: float) -> Illu
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in window.layers)
     facing = triple(unit(window.normal))
     wall = Wall(window.point_mm, facing, window.air_index, layers, fluid_index)
-    inward, along, normal = (
-        np.asarray(wall.normal),
-        unit(light.direction),
-        unit(light.sheet_normal),
-    )
+    inward, along = np.asarray(wall.normal), unit(light.direction)
+    normal = unit(light.sheet_normal)
     start = center_mm + normal * (light.shift_mm or 0.0) - _FAR_MM * along
     rays = trace_into_fluid(wall, start, along[None])
     if not rays.valid[0] or (center_mm - rays.origins_mm[0]) @ inward <= 0.0:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -187,11 +188,6 @@ class Scattering:
             out[chosen] = table.average(numbers[chosen], angles, half, in_plane[chosen])
         return out * (self._wavelength_mm / (2.0 * np.pi)) ** 2
 
-    @property
-    def size_mb(self) -> float:
-        """Memory of the tables, 10^6 bytes."""
-        return sum(table.rows.nbytes for table in self._octaves.values()) / 1e6
-
     def extinction_mm2(self, diameters_mm: F64) -> F64:
         """Compute extinction cross-sections (n,) of spheres."""
         sizes, which = np.unique(diameters_mm, return_inverse=True)
@@ -333,21 +329,19 @@ class Scatterers:
 
     def cross_section(self, particles: Particles, angles: F64, half: F64, in_plane: F64) -> F64:
         """Compute differential cross-sections (n,), mm2/sr, as `Scattering` does."""
-        numbers = material_numbers(self._tracer, self._seed, particles.id)
-        out = np.empty(len(particles))
-        for number, material in enumerate(self._materials):
-            own = numbers == number
-            given = (angles[own], half[own], in_plane[own])
-            out[own] = material.cross_section(particles.diameter_mm[own], *given)
-        return out
+        return self._by_material(particles, Scattering.cross_section, angles, half, in_plane)
 
     def extinction_mm2(self, particles: Particles) -> F64:
         """Compute extinction cross-sections (n,)."""
+        return self._by_material(particles, Scattering.extinction_mm2)
+
+    def _by_material(self, particles: Particles, compute: Callable[..., F64], *given: F64) -> F64:
         numbers = material_numbers(self._tracer, self._seed, particles.id)
         out = np.empty(len(particles))
         for number, material in enumerate(self._materials):
             own = numbers == number
-            out[own] = material.extinction_mm2(particles.diameter_mm[own])
+            some = (values[own] for values in (particles.diameter_mm, *given))
+            out[own] = compute(material, *some)
         return out
 
 

@@ -60,10 +60,8 @@ def call_isolated(
     time_s : time limit, after which the process is killed; None: no limit.
     view : confines the child to these files.
 
-    Raises
-    ------
-    InputError
-        The function raises one, an OSError or a MemoryError; the process dies, or exceeds its time.
+    Raises InputError: the function raises one, an OSError or a MemoryError; the process dies, or
+    exceeds its time.
     """
     context = _context()
     receiver, sender = context.Pipe(duplex=False)
@@ -182,13 +180,9 @@ def read_isolated(
     ----------
     size_bytes : size of all that it reads; None: that of the file.
 
-    Raises
-    ------
-    InputError
-        The function raises an exception, the process crashes, or takes more memory than the file's
-        size justifies.
-    UncheckedError
-        The reading took more than its CPU time, so the file may be intact.
+    Raises InputError: the function raises an exception, the process crashes, or takes more memory
+    than the file's size justifies. Raises UncheckedError: the reading took more than its CPU time,
+    so the file may be intact.
     """
     if multiprocessing.current_process().daemon:
         read(path, *arguments)

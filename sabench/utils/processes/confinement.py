@@ -93,10 +93,7 @@ def confine(view: VisiblePaths) -> None:
     It goes on as the child of a child: the first process of the new namespace has to wait for all
     others there. The process that called waits as well, and ends as the confined one does.
 
-    Raises
-    ------
-    OSError
-        The system refuses.
+    Raises OSError: the system refuses.
     """
     _unshare()
     receiver, sender = os.pipe()

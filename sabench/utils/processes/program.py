@@ -94,11 +94,8 @@ def run_limited(
     No process that it started survives it. It gets a session of its own, no standard input and a
     clean environment with `folder` as its home. A view confines it to those files.
 
-    Raises
-    ------
-    InputError
-        It cannot be started, ends with another exit code than 0 or by a signal, or exceeds a limit;
-        the text quotes the last line of its output.
+    Raises InputError: it cannot be started, ends with another exit code than 0 or by a signal, or
+    exceeds a limit; the text quotes the last line of its output.
     """
     if os.name != "posix":
         raise InputError(

@@ -105,10 +105,7 @@ def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> N
     mark : text of those lines of output that advance the bar.
     steps : length of the bar.
 
-    Raises
-    ------
-    InputError
-        The exit code is not 0; the text quotes the last line of output.
+    Raises InputError: the exit code is not 0; the text quotes the last line of output.
     """
     log = folder / "log.txt"
     with log.open("wb") as errors:
@@ -132,10 +129,8 @@ def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> N
 def run_code(code: str, name: str, time_s: float) -> str:
     """Run Python code in a child process and return what it prints.
 
-    Raises
-    ------
-    InputError
-        It exceeds its time, or its exit code is not 0; the text quotes its last line of errors.
+    Raises InputError: it exceeds its time, or its exit code is not 0; the text quotes its last line
+    of errors.
     """
     process = start_python(["-c", code], stderr=subprocess.PIPE)
     with kill_if_left(process):

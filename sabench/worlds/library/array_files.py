@@ -3,6 +3,7 @@
 A limited child process reads the file, which the libraries may not survive.
 """
 
+import functools
 import json
 import re
 import tempfile
@@ -48,10 +49,7 @@ def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[s
     ----------
     skip_lines : lines at the top of each text file that are left out.
 
-    Raises
-    ------
-    InputError
-        No such file or array, another format, or numbers that are not finite.
+    Raises InputError: no such file or array, another format, or numbers that are not finite.
     """
     files = file_series(path)
     if not files:
@@ -71,10 +69,7 @@ def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[s
 def read_all_arrays(path: Path, suffix: str) -> dict[str, UnitArray]:
     """Read the arrays of numbers at the root of a file as that suffix is read.
 
-    Raises
-    ------
-    InputError
-        No such file, or a broken one.
+    Raises InputError: no such file, or a broken one.
     """
     if not path.is_file():
         raise InputError(f"{path}: expected a {_KINDS[suffix]} file, found none")
@@ -283,35 +278,14 @@ _READERS = {
 }
 
 
-def length_mm(given: Unit, array: UnitArray, where: str, key: str) -> float:
-    """Return an array's unit in millimetres.
-
-    It is taken from what is given (a name or a number), else from the file.
-
-    Raises
-    ------
-    InputError
-        A unit that is missing, or an unknown name.
-    """
-    return _factor(given, array, _LENGTHS, where, key, "mm")
-
-
-def time_s(given: Unit, array: UnitArray, where: str, key: str) -> float:
-    """Return an array's unit in seconds; raises as `length_mm` does."""
-    return _factor(given, array, _TIMES, where, key, "seconds")
-
-
-def speed_mm_s(given: Unit, array: UnitArray, where: str, key: str) -> float:
-    """Return an array's unit in millimetres a second; raises as `length_mm` does."""
-    speeds = {
-        f"{unit}/{time}": mm / s for unit, mm in _LENGTHS.items() for time, s in _TIMES.items()
-    }
-    return _factor(given, array, speeds, where, key, "mm/s")
-
-
 def _factor(
-    given: Unit, array: UnitArray, units: dict[str, float], where: str, key: str, base: str
+    units: dict[str, float], base: str, given: Unit, array: UnitArray, where: str, key: str
 ) -> float:
+    """Return an array's unit in the base unit.
+
+    It is taken from what is given (a name or a number), else from the file. Raises InputError: a
+    unit that is missing, or an unknown name.
+    """
     if isinstance(given, int | float):
         return float(given)
     word = given if given is not None else array.unit
@@ -327,6 +301,12 @@ def _factor(
             f"as one of them or in {base}"
         )
     return units[plain]
+
+
+_SPEEDS = {f"{unit}/{time}": mm / s for unit, mm in _LENGTHS.items() for time, s in _TIMES.items()}
+length_mm = functools.partial(_factor, _LENGTHS, "mm")
+time_s = functools.partial(_factor, _TIMES, "seconds")
+speed_mm_s = functools.partial(_factor, _SPEEDS, "mm/s")
 
 
 def _normalise(word: str) -> str:

@@ -37,11 +37,8 @@ def surface_of(
     step_mm : of the lattice. Where the body is smooth the surface is off by the order of its
         square; what is thinner than a step may be lost.
 
-    Raises
-    ------
-    InputError
-        Too many nodes, nothing inside, or a body that reaches the edge of the lattice, where its
-        surface would be open.
+    Raises InputError: too many nodes, nothing inside, or a body that reaches the edge of the
+    lattice, where its surface would be open.
     """
     from skimage.measure import marching_cubes
 
@@ -174,18 +171,12 @@ def _union(
     """Smooth minimum of distances to rounded cones, relative to the least so far."""
     nearest = 0
     for n in range(len(points)):
-        least, total, first = (
-            np.inf,
-            0.0,
-            nearest,
-        )  # the neighbour's nearest one first: what is far beyond it needs no distance
+        # the neighbour's nearest one first: what is far beyond it needs no distance
+        least, total, first = np.inf, 0.0, nearest
         for rank in range(len(starts)):
             k = first if rank == 0 else rank - 1 if rank <= first else rank
-            x, y, z = (
-                points[n, 0] - starts[k, 0],
-                points[n, 1] - starts[k, 1],
-                points[n, 2] - starts[k, 2],
-            )
+            x, y = points[n, 0] - starts[k, 0], points[n, 1] - starts[k, 1]
+            z = points[n, 2] - starts[k, 2]
             square = x * x + y * y + z * z
             far = least + _BAND * blend + extents[k]
             if square > far * abs(far):

@@ -18,11 +18,8 @@ def read_mesh(path: Path) -> tuple[F64, I64]:
 
     A limited child process reads the file, which the library may not survive.
 
-    Raises
-    ------
-    InputError
-        No such file, another format, a damaged file, a mesh without faces, coordinates that are not
-        finite, or faces of vertices that are not there.
+    Raises InputError: no such file, another format, a damaged file, a mesh without faces,
+    coordinates that are not finite, or faces of vertices that are not there.
     """
     if path.suffix.lower() not in _SUFFIXES:
         got = path.suffix or "no ending"

@@ -122,17 +122,11 @@ def _touch(centers: Any, to_ball: Any, radius: Any, vertices: Any, faces: Any, o
     corners = np.empty((3, 3))
     for n in range(len(centers)):
         for f in range(len(faces)):
-            away = False
+            away, p, q, r = False, faces[f, 0], faces[f, 1], faces[f, 2]
             for axis in range(3):
-                a, b, c = (
-                    vertices[faces[f, 0], axis],
-                    vertices[faces[f, 1], axis],
-                    vertices[faces[f, 2], axis],
-                )
-                away |= (
-                    max(a, b, c) < centers[n, axis] - radius[n]
-                    or min(a, b, c) > centers[n, axis] + radius[n]
-                )
+                a, b, c = vertices[p, axis], vertices[q, axis], vertices[r, axis]
+                away |= max(a, b, c) < centers[n, axis] - radius[n]
+                away |= min(a, b, c) > centers[n, axis] + radius[n]
             if away:
                 continue
             for k in range(3):

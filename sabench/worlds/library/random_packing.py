@@ -29,16 +29,13 @@ def place_ellipsoids(
         they may be.
     what : named in errors.
 
-    Raises
-    ------
-    InputError
-        No place was found for some of them.
+    Raises InputError: no place was found for some of them.
     """
     count = len(semi_axes_mm)
     order = np.argsort(-semi_axes_mm.max(axis=1), kind="stable")
     shapes = shapes_of(semi_axes_mm, rotation)
-    largest, smallest = semi_axes_mm.max(axis=1), semi_axes_mm.min(axis=1)
-    width = float(largest.max(initial=1e-9)) * 2.0
+    bodies = shapes, semi_axes_mm.max(axis=1), semi_axes_mm.min(axis=1)
+    width = float(semi_axes_mm.max(initial=1e-9)) * 2.0
     centers = np.full((count, 3), np.nan)
     left = order
     for _ in range(_ROUNDS):
@@ -46,8 +43,7 @@ def place_ellipsoids(
             return centers
         tried = propose(left, _TRIES)
         cells, low = _grid(centers, tried, width)
-        placed = _place(left, tried, centers, shapes, largest, smallest, cells, low, width)
-        left = left[~placed]
+        left = left[~_place(left, tried, centers, bodies, (cells, low, width))]
     raise InputError(
         f"{what}: expected room for {count} bubbles, but for {len(left)} of them none was found: "
         "ask for fewer, smaller ones or overlap"
@@ -55,74 +51,48 @@ def place_ellipsoids(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _place(
-    left: Any,
-    tried: Any,
-    centers: Any,
-    shapes: Any,
-    largest: Any,
-    smallest: Any,
-    cells: Any,
-    low: Any,
-    width: float,
-) -> Any:
+def _place(left: Any, tried: Any, centers: Any, bodies: Any, grid: Any) -> Any:
     """Put each bubble at the first of its candidates where it fits.
 
-    Returns which bubbles were placed.
+    Bodies are shapes, largest and smallest semi-axes, the grid is that of `_grid`. Returns which
+    bubbles were placed.
     """
-    heads = np.full(cells[0] * cells[1] * cells[2], -1, dtype=np.int64)
+    heads = np.full(grid[0].prod(), -1, dtype=np.int64)
     chain = np.full(len(centers), -1, dtype=np.int64)
     for n in range(len(centers)):
         if not np.isnan(centers[n, 0]):
-            _enter(n, centers[n], heads, chain, cells, low, width)
+            _enter(n, centers[n], heads, chain, grid)
     placed = np.zeros(len(left), dtype=np.bool_)
     for k in range(len(left)):
         n = left[k]
         for m in range(tried.shape[1]):
-            if _fits(
-                n, tried[k, m], centers, shapes, largest, smallest, heads, chain, cells, low, width
-            ):
+            if _fits(n, tried[k, m], centers, bodies, heads, chain, grid):
                 for axis in range(3):
                     centers[n, axis] = tried[k, m, axis]
-                _enter(n, centers[n], heads, chain, cells, low, width)
+                _enter(n, centers[n], heads, chain, grid)
                 placed[k] = True
                 break
     return placed
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cell(point: Any, axis: int, cells: Any, low: Any, width: float) -> Any:
+def _cell(point: Any, axis: int, grid: Any) -> Any:
+    cells, low, width = grid
     return min(max(int((point[axis] - low[axis]) / width), 0), cells[axis] - 1)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _enter(n: int, point: Any, heads: Any, chain: Any, cells: Any, low: Any, width: float) -> None:
-    where = (
-        _cell(point, 2, cells, low, width) * cells[1] + _cell(point, 1, cells, low, width)
-    ) * cells[0] + _cell(point, 0, cells, low, width)
+def _enter(n: int, point: Any, heads: Any, chain: Any, grid: Any) -> None:
+    i, j, k = _cell(point, 0, grid), _cell(point, 1, grid), _cell(point, 2, grid)
+    where = (k * grid[0][1] + j) * grid[0][0] + i
     chain[n] = heads[where]
     heads[where] = n
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fits(
-    n: int,
-    point: Any,
-    centers: Any,
-    shapes: Any,
-    largest: Any,
-    smallest: Any,
-    heads: Any,
-    chain: Any,
-    cells: Any,
-    low: Any,
-    width: float,
-) -> bool:
-    i, j, k = (
-        _cell(point, 0, cells, low, width),
-        _cell(point, 1, cells, low, width),
-        _cell(point, 2, cells, low, width),
-    )
+def _fits(n: int, point: Any, centers: Any, bodies: Any, heads: Any, chain: Any, grid: Any) -> bool:
+    (shapes, largest, smallest), cells = bodies, grid[0]
+    i, j, k = _cell(point, 0, grid), _cell(point, 1, grid), _cell(point, 2, grid)
     for z in range(max(k - 1, 0), min(k + 2, cells[2])):
         for y in range(max(j - 1, 0), min(j + 2, cells[1])):
             for x in range(max(i - 1, 0), min(i + 2, cells[0])):

@@ -6,6 +6,7 @@ periodic box (without convection: Hasimoto, J. Fluid Mech. 5 (1959) 317-328). Th
 of the flow is interpolated by cubic splines; their curl is free of divergence everywhere.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -69,19 +70,22 @@ class SlowFlow:
 
     def velocity(self, points_mm: F64) -> F64:
         """Compute velocities (n, 3) at points (n, 3), the box repeated."""
-        slopes = np.empty((len(points_mm), 3, 3))
-        places = (points_mm - self.box.low_mm) / self.box.step_mm
-        on_cores(_slopes, len(slopes), self.splines, places, slopes)
-        slopes /= self.box.step_mm
-        return np.asarray(self.mean_mm_s + vorticity(slopes))
+        return np.asarray(self.mean_mm_s + vorticity(self._derivatives(points_mm, 1)))
 
     def gradient(self, points_mm: F64) -> F64:
         """Compute gradients (n, 3, 3), du_i / dx_j."""
-        bends = np.empty((len(points_mm), 3, 3, 3))
+        second = self._derivatives(points_mm, 2)
+        return vorticity(second.transpose(0, 3, 1, 2)).transpose(0, 2, 1).copy()
+
+    def _derivatives(self, points_mm: F64, order: int) -> F64:
+        """Compute the vector potential's derivatives (n, component, axis, ...)."""
+        axes = np.array(list(itertools.product(range(3), repeat=order)))
+        counts = (axes[:, :, None] == np.arange(3)).sum(axis=1)  # along each axis
+        out = np.empty((len(points_mm), 3, len(counts)))
         places = (points_mm - self.box.low_mm) / self.box.step_mm
-        on_cores(_bends, len(bends), self.splines, places, bends)
-        bends /= self.box.step_mm**2
-        return vorticity(bends.transpose(0, 3, 1, 2)).transpose(0, 2, 1).copy()
+        on_cores(_derive, len(out), self.splines, places, counts, out)
+        out /= self.box.step_mm**order
+        return out.reshape(len(out), *[3] * (1 + order))
 
 
 def solve_oseen(
@@ -92,10 +96,7 @@ def solve_oseen(
     Convection is that by the mean velocity: exact for slow flow, and a model of the wake at larger
     Reynolds numbers.
 
-    Raises
-    ------
-    InputError
-        Bodies that hold no node, or no solution within the iterations.
+    Raises InputError: bodies that hold no node, or no solution within the iterations.
     """
     from scipy.sparse.linalg import LinearOperator, gmres  # takes long to load
 
@@ -188,8 +189,11 @@ def _weights(part: float, out: Any) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def _slopes(jobs: slice, splines: Any, places: Any, out: Any) -> None:
-    """Fill slopes (n, component, axis) at places (n, 3) in steps."""
+def _derive(jobs: slice, splines: Any, places: Any, counts: Any, out: Any) -> None:
+    """Fill derivatives (n, component, k) at places (n, 3) in steps.
+
+    `counts` (k, 3) are the numbers of derivatives along each axis.
+    """
     shape = splines.shape
     for n in range(jobs.start, jobs.stop):
         weight, first = np.empty((3, 3, 4)), np.empty(3, dtype=np.int64)
@@ -204,44 +208,8 @@ def _slopes(jobs: slice, splines: Any, places: Any, out: Any) -> None:
                 b = (first[1] + j) % shape[1]
                 for k in range(4):
                     c = (first[2] + k) % shape[2]
-                    x = weight[0, 1, i] * weight[1, 0, j] * weight[2, 0, k]
-                    y = weight[0, 0, i] * weight[1, 1, j] * weight[2, 0, k]
-                    z = weight[0, 0, i] * weight[1, 0, j] * weight[2, 1, k]
-                    for m in range(3):
-                        value = splines[a, b, c, m]
-                        out[n, m, 0] += x * value
-                        out[n, m, 1] += y * value
-                        out[n, m, 2] += z * value
-
-
-@numba.njit(cache=True, nogil=True)
-def _bends(jobs: slice, splines: Any, places: Any, out: Any) -> None:
-    """Fill second derivatives (n, component, axis, axis) at places (n, 3) in steps."""
-    shape = splines.shape
-    for n in range(jobs.start, jobs.stop):
-        weight, first = np.empty((3, 3, 4)), np.empty(3, dtype=np.int64)
-        for axis in range(3):
-            whole = np.floor(places[n, axis])
-            first[axis] = int(whole) - 1
-            _weights(places[n, axis] - whole, weight[axis])
-        out[n] = 0.0
-        for i in range(4):
-            for j in range(4):
-                for k in range(4):
-                    for p in range(3):
-                        for q in range(3):
-                            share = (
-                                weight[0, (p == 0) + (q == 0), i]
-                                * weight[1, (p == 1) + (q == 1), j]
-                                * weight[2, (p == 2) + (q == 2), k]
-                            )
-                            for m in range(3):
-                                out[n, m, p, q] += (
-                                    share
-                                    * splines[
-                                        (first[0] + i) % shape[0],
-                                        (first[1] + j) % shape[1],
-                                        (first[2] + k) % shape[2],
-                                        m,
-                                    ]
-                                )
+                    for q in range(len(counts)):
+                        share = weight[0, counts[q, 0], i] * weight[1, counts[q, 1], j]
+                        share *= weight[2, counts[q, 2], k]
+                        for m in range(3):
+                            out[n, m, q] += share * splines[a, b, c, m]

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from sabench.geometry.grid import Grid, check_volume, cut_box, synthesise
 from sabench.geometry.lens import Distortion
-from sabench.geometry.plane_polynomials import TOLERANCE_PX, plane_map, plane_maps
+from sabench.geometry.plane_polynomials import TOLERANCE_PX, plane_maps
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import frame_of_normal
 from sabench.utils import memory
@@ -93,7 +93,9 @@ def test_plane_maps_stay_within_their_tolerance(wall: Wall | None, lens: Distort
 
 def test_plane_without_a_light_path_is_refused() -> None:
     with refused(kind=ValueError):
-        plane_map(make_camera(0.0, 0.0, FLAT), GRID, 3.0, 3)
+        plane_maps(
+            [make_camera(0.0, 0.0, FLAT)], Grid((-4.0, 2.0, 3.0), (0.25, 0.2, 0.5), (1, 30, 41))
+        )
 
 
 def test_a_part_of_a_grid_has_the_values_of_the_whole() -> None:

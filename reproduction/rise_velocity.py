@@ -1,4 +1,4 @@
-"""Terminal velocity of single bubbles in a clean liquid, against their diameter.
+"""Terminal velocity of single bubbles in a clean liquid: figure 5-23.
 
 Small bubbles are oblate spheroids with a thin boundary layer that slips: Moore, "The velocity of
 rise of distorted gas bubbles in a liquid of small viscosity", J. Fluid Mech. 23 (1965), with his
@@ -23,12 +23,7 @@ _AXIS_RATIOS = 1000  # of the tabulated spheroids
 class Liquid:
     """Liquid around bubbles of negligible density, in SI units; water by default.
 
-    Attributes
-    ----------
-    density : kg/m3.
-    viscosity : kinematic, m2/s.
-    tension : surface tension, N/m.
-    gravity : m/s2.
+    The viscosity is kinematic, the tension that of the surface.
     """
 
     density: float = 1000.0
@@ -38,7 +33,7 @@ class Liquid:
 
     @property
     def morton(self) -> float:
-        """Morton number, equation 5.4 of the thesis."""
+        """Morton number, equation 5.4."""
         return self.gravity * self.viscosity**4 * self.density**3 / self.tension**3
 
     @property
@@ -73,12 +68,8 @@ def transition_diameter_mm(largest_mm: float, liquid: Liquid) -> float:
     """Compute the diameter of the largest bubbles that remain below Y_p.
 
     They rise as fast as the slowest large bubble: the largest one or, if that is beyond the minimum
-    of the velocity, one at the minimum. Source: thesis, section 5.5.2 and figure 5-23.
-
-    Raises
-    ------
-    ValueError
-        The largest bubble is on the rising part of the law.
+    of the velocity, one at the minimum (section 5.5.2). Raises ValueError: the largest bubble is on
+    the rising part of the law.
     """
     slow = float(wave_velocity(np.array(min(largest_mm, liquid.slowest_mm)), liquid))
     small = np.linspace(0.2, 2.0, 1801)
@@ -88,39 +79,32 @@ def transition_diameter_mm(largest_mm: float, liquid: Liquid) -> float:
     return float(small[reached[0]])
 
 
-def weber(ratio: F64) -> F64:
-    """Compute Moore's Weber number (n,) of spheroids of long over short axis `ratio`."""
-    chi = np.asarray(ratio)
-    root, angle = np.sqrt(chi**2 - 1.0), np.arccos(1.0 / chi)
-    bracket = chi**2 * angle - root
-    form = 4.0 * chi ** (-4.0 / 3.0) * (chi**3 + chi - 2.0)
-    return np.asarray(form * bracket**2 / (chi**2 - 1.0) ** 3)
+def moore(ratio: F64) -> tuple[F64, F64, F64]:
+    """Compute Moore's Weber number, G and H (n,) by long over short axis.
 
-
-def drag_factors(ratio: F64) -> tuple[F64, F64]:
-    """Compute Moore's G and H: the drag coefficient is 48 G / Re (1 + H / sqrt(Re))."""
-    chi = np.asarray(ratio)
-    root, angle = np.sqrt(chi**2 - 1.0), np.arccos(1.0 / chi)
-    dissipated = chi ** (4.0 / 3.0) * root**3 * (root - (2.0 - chi**2) * angle)
-    dissipated /= 3.0 * (chi**2 * angle - root) ** 2
-    wake = np.polyval([0.0195, -0.2134, 1.7026, -2.1461, -1.5732], chi)
-    return np.asarray(dissipated), np.asarray(wake)
+    The drag coefficient is 48 G / Re (1 + H / sqrt(Re)).
+    """
+    root, angle = np.sqrt(ratio**2 - 1.0), np.arccos(1.0 / ratio)
+    bracket = ratio**2 * angle - root
+    weber = 4.0 * ratio ** (-4.0 / 3.0) * (ratio**3 + ratio - 2.0) * bracket**2 / root**6
+    dissipated = ratio ** (4.0 / 3.0) * root**3 * (root - (2.0 - ratio**2) * angle)
+    wake = np.polyval([0.0195, -0.2134, 1.7026, -2.1461, -1.5732], ratio)
+    return np.asarray(weber), np.asarray(dissipated / (3.0 * bracket**2)), np.asarray(wake)
 
 
 def _balance(d: float, liquid: Liquid) -> float:
     """Find the velocity that balances drag and buoyancy of a bubble; d in m."""
     ratios = np.geomspace(_ROUND, _FLATTEST, _AXIS_RATIOS)
-    numbers = weber(ratios)
+    numbers = moore(ratios)[0]
 
     def excess(speed: float) -> float:
         number = liquid.density * speed**2 * d / liquid.tension
-        ratio = np.asarray(np.interp(number, numbers, ratios))
-        g, h = (float(factor) for factor in drag_factors(ratio))
+        _, g, h = moore(np.asarray(np.interp(number, numbers, ratios)))
         re = speed * d / liquid.viscosity
-        drag = 48.0 * g / re * (1.0 + h / float(np.sqrt(re)))
+        drag = 48.0 * float(g) / re * (1.0 + float(h) / float(np.sqrt(re)))
         return drag * speed**2 - 4.0 / 3.0 * liquid.gravity * d
 
-    slowest = float(drag_factors(ratios[0])[1]) ** 2 * liquid.viscosity / d  # no drag below
+    slowest = float(moore(ratios[0])[2]) ** 2 * liquid.viscosity / d  # no drag below
     fastest = float(np.sqrt(numbers[-1] * liquid.tension / (liquid.density * d)))
     if excess(slowest) >= 0.0 or excess(fastest) <= 0.0:
         return float("nan")
