@@ -23,15 +23,9 @@ def for_each(work: Callable[[int], _Result], count: int) -> list[_Result]:
         return list(pool.map(work, range(count)))
 
 
-def share_rows(
-    work: Callable[[slice], _Result], count: int, parts: int | None = None
-) -> list[_Result]:
-    """Work on slices of a number of rows; returns the results in their order.
-
-    There are as many as cores. Where results are added up, a given number of parts makes the sum
-    the same on any machine.
-    """
-    parts = parts or max(1, min(count, numba.get_num_threads()))
+def share_rows(work: Callable[[slice], _Result], count: int) -> list[_Result]:
+    """Work on slices of a number of rows, one a core; returns the results in their order."""
+    parts = max(1, min(count, numba.get_num_threads()))
     ends = np.linspace(0, count, parts + 1).astype(int)
     slices = [slice(*pair) for pair in itertools.pairwise(ends)]
     return for_each(lambda part: work(slices[part]), len(slices))

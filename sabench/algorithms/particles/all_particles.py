@@ -169,6 +169,24 @@ def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, si
     for_each(paint, len(sigma))
 
 
+def sum_in_cameras(
+    add: Callable[..., None],
+    model: ImageModel,
+    sigma: F64,
+    particles: ModelParticles,
+    shape: tuple[int, ...],
+) -> F64:
+    """Sum up (camera, ...) what a kernel adds for particles."""
+    sums = np.zeros((len(sigma), *shape))
+
+    def add_camera(camera: int) -> None:
+        view, room = _of_camera(model, sigma, camera)
+        add(view, room, _in_camera(particles, camera), sums[camera : camera + 1])
+
+    for_each(add_camera, len(sigma))
+    return sums
+
+
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
     """Predict (n,) the decrease of the cost by a split along the best step (k, 3)."""
     gains = np.zeros(len(particles.position))

@@ -27,7 +27,6 @@ from sabench.utils.arrays import F64, I64
 
 _PARALLEL_DEGREES = 1.0  # between an optical axis and the normal of the apertures' plane
 _EQUAL = 0.02  # relative difference of the sides of an equilateral triangle
-_THIRD = 4  # nearest images of the third camera that are tried
 
 
 @dataclass(frozen=True)
@@ -196,9 +195,10 @@ def _triples(
         member, other, side = member[fits], other[fits], side[fits]
         middle = (batch[member, 1] + second[other, 1]) / 2.0
         corner = np.column_stack([batch[member, 0], middle]) - side[:, None] * to_third
-        apart, last = tree.query(corner, k=_THIRD, distance_upper_bound=near)
-        pair, which = np.nonzero(np.isfinite(apart))
-        yield np.column_stack([member[pair] + start, other[pair], last[pair, which]])
+        last = tree.query_ball_point(corner, near)
+        pair = np.repeat(np.arange(len(last)), [len(each) for each in last])
+        thirds = np.fromiter(itertools.chain.from_iterable(last), dtype=np.int64)
+        yield np.column_stack([member[pair] + start, other[pair], thirds])
 
 
 def _sides(corners: F64) -> F64:

@@ -3,26 +3,22 @@
 All particles count: those that stand alone in the images are too few where images overlap.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.particles.all_particles import some_rows
+from sabench.algorithms.particles.all_particles import sum_in_cameras
 from sabench.algorithms.particles.image_model import (
     MARGIN_PX,
     MOST_FLAT,
     SHAPES,
     TERMS,
     UNSEEN,
-    ImageModel,
-    ModelParticles,
     Sum,
     copy_row,
     counting,
     fill_image,
     is_plain,
-    make_room,
     place_windows,
     sum_up,
 )
@@ -31,7 +27,7 @@ from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.images.gaussian_kernels import fill_derivatives
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
-from sabench.utils.threads import for_each, share_rows
+from sabench.utils.threads import for_each
 from sabench.utils.vector_units import Profile
 
 FEW = 30  # too few particles to represent all
@@ -48,8 +44,6 @@ _LONGEST = 0.25  # of these errors: a step; with whole ones, realistic images ha
 # Variance of pixels:
 _CLIP = 30.0  # mean squares: largest contribution of a pixel; .005 of F1 of realistic images
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
-
-_PARTS = 16  # of the particles, summed apart: the number of cores does not matter
 
 
 def weigh_pixels(search: ParticleSearch, cap: float) -> None:
@@ -102,7 +96,8 @@ def learn_widths(search: ParticleSearch) -> None:
     units = np.column_stack([search.sigma, areas, np.ones(cameras)])[:, :, None]
     errors, unknowns = _SHAPE_ERRORS * units, SHAPES * TERMS
     for _ in range(_STEPS):
-        sums = _sum_up(add_shape_misses, model, search.widest, particles, (unknowns, unknowns + 1))
+        each = model, search.widest, particles
+        sums = sum_in_cameras(add_shape_misses, *each, (unknowns, unknowns + 1))
         matrices, right = sums[:, :, :-1], sums[:, :, -1]
         right -= (errors**-2.0 * (search.shapes - search.first_shapes)).reshape(cameras, -1)
         matrices += (errors**-2.0).reshape(cameras, -1, 1) * np.eye(unknowns)
@@ -142,7 +137,8 @@ def align_cameras(search: ParticleSearch) -> None:
     if len(search.position) < FEW:
         return
     for _ in range(_STEPS):
-        sums = camera_misses(search.model(), search.widest, search.particles())
+        each = search.model(), search.widest, search.particles()
+        sums = sum_in_cameras(add_camera_misses, *each, (5,))
         xx, xy, yy, x, y = sums.T
         matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
         shifts = np.zeros((len(matrix), 2))
@@ -236,25 +232,3 @@ def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
             if not plain:
                 changes[2, i, j] += rows[Profile.TILT_SLOPE_Y, i] * rows[Profile.CURVE_X, j]
             changes[3, i, j] = -(x4 * y + 2.0 * x2 * y2 + x * y4)
-
-
-def camera_misses(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Sum up `add_camera_misses` (camera, 5) over particles."""
-    return _sum_up(add_camera_misses, model, sigma, particles, (5,))
-
-
-def _sum_up(
-    add: Callable[..., None],
-    model: ImageModel,
-    sigma: F64,
-    particles: ModelParticles,
-    shape: tuple[int, ...],
-) -> F64:
-    """Sum up (camera, ...) what `add` adds for particles."""
-
-    def add_rows(rows: slice) -> F64:
-        sums = np.zeros((len(sigma), *shape))
-        add(model, make_room(sigma), some_rows(particles, rows), sums)
-        return sums
-
-    return np.asarray(np.sum(share_rows(add_rows, len(particles.position), _PARTS), axis=0))

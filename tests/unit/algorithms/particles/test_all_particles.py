@@ -9,7 +9,7 @@ from sabench.algorithms.particles import all_particles, all_particles as module
 from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.image_model import ImageModel, ModelParticles, paint_all
 from sabench.algorithms.particles.joint_fit import fit_particles
-from sabench.algorithms.particles.learned_model import add_camera_misses, camera_misses
+from sabench.algorithms.particles.learned_model import add_camera_misses
 from sabench.algorithms.particles.model_moves import find_neighbours
 from sabench.geometry.volume_polynomials import project_points
 from sabench.utils.arrays import F32, F64, I64
@@ -35,7 +35,7 @@ def outcome(maps: Maps) -> list[F64 | F32]:
     all_particles.paint_particles(model, SIGMAS, particles, -1.0)
     return [
         model.left,
-        camera_misses(model, SIGMAS, particles),
+        all_particles.sum_in_cameras(add_camera_misses, model, SIGMAS, particles, (5,)),
         all_particles.split_gains(model, SIGMAS, particles, 0.02 * np.eye(3)),
     ]
 
