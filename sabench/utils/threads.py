@@ -24,7 +24,7 @@ def for_each(work: Callable[[int], _Result], count: int) -> list[_Result]:
 
 
 def share_rows(work: Callable[[slice], _Result], count: int) -> list[_Result]:
-    """Work on slices of a number of rows, one a core; returns the results in their order."""
+    """Work on slices of rows, one a core; returns the results in their order."""
     parts = max(1, min(count, numba.get_num_threads()))
     ends = np.linspace(0, count, parts + 1).astype(int)
     slices = [slice(*pair) for pair in itertools.pairwise(ends)]

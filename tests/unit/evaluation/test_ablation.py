@@ -53,11 +53,11 @@ def test_a_kernel_and_its_callers_hold_a_constant() -> None:
 def test_a_module_is_imported_with_the_other_value() -> None:
     code = (
         "from benchmarks.ablation_rules import change\n"
-        "change('images.widths', '_LOCAL', '0.5')\n"
-        "from sabench.images import widths; print(widths._LOCAL)"
+        "change('images.widths', 'LOCAL_PX', '0.5')\n"
+        "from sabench.images import widths; print(widths.LOCAL_PX)"
     )
     told = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=True)
-    assert float(told.stdout) == 0.5 != widths._LOCAL
+    assert float(told.stdout) == 0.5 != widths.LOCAL_PX
 
 
 def test_a_case_that_is_worse_keeps_a_rule_and_a_particle_more_or_less_does_not() -> None:
