@@ -64,6 +64,9 @@ def solve(
     It runs in a child process that holds the observation side alone. Where the system can confine
     a process, it sees no other file of the user, no other process, and no network.
 
+    Raises InputError for an unknown solver or parameter, a broken data set or one of another task,
+    and anything that the task's `run` refuses.
+
     Parameters
     ----------
     solver : its name, or the path of a program (docs/developing/participate.md).
@@ -73,9 +76,6 @@ def solve(
     threads : of a plug-in's kernels and linear algebra; None: as many as there are cores.
     iterations : store the first frame's estimates on the way, too, of plug-ins that have them.
     overwrite : replace an existing result.
-
-    Raises InputError for an unknown solver or parameter, a broken data set or one of another task,
-    and anything that the task's `run` refuses.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if external_programs.is_program(solver):

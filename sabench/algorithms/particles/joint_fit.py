@@ -8,7 +8,7 @@ penalty: the other side of the same probability, by Laplace's approximation.
 The prior of light: the logarithms of a particle's light over a typical particle's follow a normal
 distribution of all cameras. Particles differ (their size), and each differs between cameras (its
 lobes of scattering). A ghost combines images of different particles and seldom follows it. The
-covariance is learned from the particles that are found.
+covariance is learned from particles that stand alone.
 """
 
 import math
