@@ -51,8 +51,8 @@ _CLIP = 30.0  # mean squares: largest contribution of a pixel; .005 of F1 of rea
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
 # particles for each unknown of a camera's images, and overlap of isolated ones; 30 in all lose
-# .015 of F1 at 0.18 particles per pixel; all of them gain .09 there, but twice as many ghosts
-# where light is even
+# .015 of F1 at 0.18 particles per pixel; all particles gain .09 there, but let in 1.7 times as
+# many ghosts where light is even
 _EACH, _HARDLY = 5, 0.1
 
 
