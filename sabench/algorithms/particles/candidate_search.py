@@ -118,18 +118,28 @@ def find_candidates(maps: VolumePolynomials, logs: F32, floor: float, spread: fl
     floor : smallest mean of the cameras' logarithms.
     spread : the most that the mean may exceed the darkest camera's.
     """
-    means = np.empty(lattice_shape(maps), dtype=np.float32)
-    bounds = np.zeros_like(logs)
-    limits = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
-    _bound(logs, limits[2], bounds)
-    on_cores(_sweep, len(means), maps, logs, bounds, *limits, means)
-    # points that exceed their 26 neighbours: counted, then listed
-    maxima = np.zeros((_mark_maxima(means, np.zeros((0, 3), dtype=np.int64)), 3), dtype=np.int64)
-    _mark_maxima(means, maxima)
-    z, y, x = maxima.T
+    means, bounds = np.empty(lattice_shape(maps), dtype=np.float32), np.zeros_like(logs)
+    floor32, spread32, most = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
+    known = np.where(np.isnan(logs), most, logs)  # the most between a pixel and the next ones
+    pairs = np.maximum(known[:, :, :-1], known[:, :, 1:])
+    bounds[:, :-1, :-1] = np.maximum(pairs[:, :-1], pairs[:, 1:])
+    on_cores(_sweep, len(means), maps, logs, bounds, floor32, spread32, most, means)
+    z, y, x = _find_maxima(means)
     order = np.argsort(-means[z, y, x], kind="stable")
     places = np.stack([x, y, z], axis=1)[order]
     return np.asarray(2.0 * places / (np.array(means.shape[::-1]) - 1.0) - 1.0)
+
+
+def _find_maxima(means: F32) -> tuple[I64, ...]:
+    """Find points (z, y, x) that exceed their 26 neighbours; of equal ones the first."""
+    framed = np.pad(means, 1, constant_values=_DARK)
+    values, strides = framed.ravel(), np.array(framed.strides) // framed.itemsize
+    places = np.flatnonzero(values > _DARK)
+    for step in itertools.product((-1, 0, 1), repeat=3):
+        other = values[places + strides @ step]
+        here = values[places]
+        places = places[other < here if step < (0, 0, 0) else other <= here]
+    return tuple(axis - 1 for axis in np.unravel_index(places, framed.shape))
 
 
 @numba.njit(inline="always")
@@ -143,19 +153,6 @@ def _look_up(image: Any, column: float, row: float) -> Any:
     upper = image[i, j] * (1.0 - right) + image[i, j + 1] * right
     lower = image[i + 1, j] * (1.0 - right) + image[i + 1, j + 1] * right
     return upper * (1.0 - down) + lower * down
-
-
-@numba.njit(cache=True)
-def _bound(logs: Any, most: Any, bounds: Any) -> None:
-    """Fill in the most between pixels and the next ones, `most` if one is unknown."""
-    cameras, rows, columns = logs.shape
-    for c in range(cameras):
-        for i in range(rows - 1):
-            for j in range(columns - 1):
-                a, b = logs[c, i, j], logs[c, i, j + 1]
-                d, e = logs[c, i + 1, j], logs[c, i + 1, j + 1]
-                unknown = np.isnan(a + b + d + e)
-                bounds[c, i, j] = most if unknown else max(max(a, b), max(d, e))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -224,35 +221,6 @@ def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any
         return _DARK
     mean = min(total / count, darkest + spread)
     return np.float32(mean) if mean >= floor else _DARK
-
-
-@numba.njit(cache=True)
-def _mark_maxima(means: Any, places: Any) -> int:
-    """Fill in local maxima as far as there is room; return how many there are."""
-    slices, rows, columns = means.shape
-    count = 0
-    for z in range(slices):
-        for y in range(rows):
-            for x in range(columns):
-                if means[z, y, x] > _DARK and _is_maximum(means, z, y, x):
-                    if count < len(places):
-                        places[count, 0], places[count, 1], places[count, 2] = z, y, x
-                    count += 1
-    return count
-
-
-@numba.njit(inline="always")
-def _is_maximum(means: Any, z: int, y: int, x: int) -> bool:
-    """Return whether no neighbour is brighter, and no earlier one as bright."""
-    slices, rows, columns = means.shape
-    here, number = means[z, y, x], (z * rows + y) * columns + x
-    for k in range(max(z - 1, 0), min(z + 2, slices)):
-        for j in range(max(y - 1, 0), min(y + 2, rows)):
-            for i in range(max(x - 1, 0), min(x + 2, columns)):
-                other = means[k, j, i]
-                if other > here or (other == here and (k * rows + j) * columns + i < number):
-                    return False
-    return True
 
 
 def rig_axes(maps: VolumePolynomials) -> F64:

@@ -53,17 +53,6 @@ def without_margins(images: Any) -> Any:
     return images[..., MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
 
 
-@numba.njit(cache=True, nogil=True)
-def fill_weights(valid: Any, saturated: Any, variance: Any, weight: Any) -> None:
-    """Fill in a camera's weights, with margins, from its pixels without."""
-    rows, columns = valid.shape
-    for i in range(rows):
-        for j in range(columns):
-            if valid[i, j]:
-                each = np.float32(1.0) / variance[i, j]
-                weight[MARGIN_PX + i, MARGIN_PX + j] = -each if saturated[i, j] else each
-
-
 class ImageModel(NamedTuple):
     """Images as sums of particles' images, and what is left of them.
 
@@ -233,9 +222,8 @@ def _shape_profiles(
     bend = 0.5 * tilt * tilt - 2.0 * flat * across * down
     column, row = -flat * across * across, -flat * down * down
     for k in range(2):
-        start = (
-            Profile.CURVE_X if k == 0 else Profile.WHOLE_Y
-        )  # of rows that have room for four derivatives
+        # rows that have room for four derivatives
+        start = Profile.CURVE_X if k == 0 else Profile.WHOLE_Y
         fill_derivatives(here[k], width[k], corner[k] - MARGIN_PX, table[start : start + 4])
     for i in range(table.shape[1]):
         table[Profile.FLAT_X, i] = column * table[Profile.CURVE_X + 2, i]
@@ -244,10 +232,8 @@ def _shape_profiles(
         fourth, fifth = table[Profile.WHOLE_Y + 2, i], table[Profile.WHOLE_Y + 3, i]
         table[Profile.WHOLE_Y, i] = table[Profile.OWN_Y, i] + row * fourth
         table[Profile.WHOLE_SLOPE_Y, i] = table[Profile.SLOPE_Y, i] + row * fifth
-        table[Profile.TILT_Y, i], table[Profile.TILT_SLOPE_Y, i] = (
-            tilt * table[Profile.SLOPE_Y, i],
-            tilt * second,
-        )
+        table[Profile.TILT_Y, i] = tilt * table[Profile.SLOPE_Y, i]
+        table[Profile.TILT_SLOPE_Y, i] = tilt * second
         table[Profile.CURVE_Y, i], table[Profile.CURVE_SLOPE_Y, i] = bend * second, bend * third
 
 
@@ -260,16 +246,12 @@ def _products(shapes: Any, c: int) -> Any:
 @numba.njit(cache=True)
 def fill_image(model: Any, room: Any, c: int, image: Any) -> None:
     """Fill in a camera's image (row, column), for light 1, after `place_windows`."""
-    first, count = _products(model.shapes, c)
+    (first, count), rows = _products(model.shapes, c), room.profiles[c]
     for i in range(room.window):
         for j in range(room.window):
             image[i, j] = 0.0
             for k in range(count):
-                across, down = (
-                    room.profiles[c, first + k, j],
-                    room.profiles[c, Profile.OWN_Y + k, i],
-                )
-                image[i, j] += across * down
+                image[i, j] += rows[first + k, j] * rows[Profile.OWN_Y + k, i]
 
 
 # The indices of the windows' sums are unsigned: a signed one is compared with zero each time.
@@ -302,9 +284,8 @@ def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
         rows, image, amount = room.profiles[c], model.left[c], sign * light[c]
         first, count = _products(model.shapes, c)
         for k in range(count):
-            _paint(
-                image, rows[first + k], rows[Profile.OWN_Y + k], room.window, room.corner[c], amount
-            )
+            x, y = rows[first + k], rows[Profile.OWN_Y + k]
+            _paint(image, x, y, room.window, room.corner[c], amount)
 
 
 @numba.njit(cache=True)

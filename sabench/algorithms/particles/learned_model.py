@@ -222,11 +222,8 @@ def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
     for i in range(room.window):
         y, y2, y4 = rows[Profile.OWN_Y, i], down * higher[1, 0, i], down * down * higher[1, 2, i]
         for j in range(room.window):
-            x, x2, x4 = (
-                rows[Profile.OWN_X, j],
-                across * higher[0, 0, j],
-                across * across * higher[0, 2, j],
-            )
+            x, x2 = rows[Profile.OWN_X, j], across * higher[0, 0, j]
+            x4 = across * across * higher[0, 2, j]
             changes[0, i, j], changes[1, i, j] = x2 * y / width[0], x * y2 / width[1]
             changes[2, i, j] = rows[Profile.SLOPE_Y, i] * rows[Profile.SLOPE_X, j]
             if not plain:

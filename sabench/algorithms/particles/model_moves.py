@@ -84,8 +84,7 @@ def remove_ghosts(
     odds : (n,) set for the same rows: what it gains less its penalty, the logarithm of the odds
         that it is real; trials end where they are high enough.
     """
-    cameras = particles.light.shape[1]
-    most = 0
+    cameras, most = particles.light.shape[1], 0
     for n in order:
         most = max(most, starts[n + 1] - starts[n])
     positions, lights = np.zeros((most, 3)), np.zeros((most, cameras))
@@ -248,12 +247,8 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
     steps : (k, 3) half distances of the two, in the box's coordinates, that are tried.
     """
     cameras = particles.light.shape[1]
-    middle, light, places, lights = (
-        np.zeros(3),
-        np.zeros(cameras),
-        np.zeros((2, 3)),
-        np.zeros((2, cameras)),
-    )
+    middle, light = np.zeros(3), np.zeros(cameras)
+    places, lights = np.zeros((2, 3)), np.zeros((2, cameras))
     for n in order:
         count = spare[n]
         _keep(particles, n, middle, light)
@@ -272,11 +267,9 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
             take_out(model, room, middle, light)
             for k in range(2):
                 put_in(model, room, places[k], lights[k])
-            larger = max(
-                penalty(model, room, places[0], lights[0]),
-                penalty(model, room, places[1], lights[1]),
-            )
-            if best + larger < 0.0:
+            first = penalty(model, room, places[0], lights[0])
+            second = penalty(model, room, places[1], lights[1])
+            if best + max(first, second) < 0.0:
                 _put(particles, n, places[0], lights[0])
                 _put(particles, count, places[1], lights[1])
                 particles.alive[count] = True

@@ -22,7 +22,6 @@ from sabench.algorithms.particles.image_model import (
     ImageModel,
     ModelParticles,
     Room,
-    fill_weights,
     make_room,
     with_margins,
     without_margins,
@@ -52,14 +51,8 @@ _APART = 1.1  # widths: distance of the two of a split from their middle
 
 def no_particles(cameras: int) -> FoundParticles:
     """Return no particles, with all arrays of a search."""
-    none, light = np.zeros(0), np.zeros((0, cameras))
-    return FoundParticles(
-        np.zeros((0, 3)),
-        none,
-        light=light,
-        covariance_mm2=np.zeros((0, 3, 3)),
-        probability=none,
-    )
+    none, light, square = np.zeros(0), np.zeros((0, cameras)), np.zeros((0, 3, 3))
+    return FoundParticles(square[:, 0], none, light=light, covariance_mm2=square, probability=none)
 
 
 def joined(first: FoundParticles, other: FoundParticles) -> FoundParticles:
@@ -208,8 +201,9 @@ class ParticleSearch:
         weight = np.zeros_like(self.framed)
 
         def fill(camera: int) -> None:
-            valid, saturated = self.known[camera], self.saturated[camera]
-            fill_weights(valid, saturated, self.variance[camera], weight[camera])
+            each = np.where(self.saturated[camera], np.float32(-1.0), np.float32(1.0))
+            each /= self.variance[camera]
+            without_margins(weight[camera])[:] = np.where(self.known[camera], each, 0.0)
 
         for_each(fill, len(weight))
         cameras = self.maps, self.shapes, self.typical, precision
