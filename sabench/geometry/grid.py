@@ -51,6 +51,12 @@ class Grid:
         low, voxel = np.asarray(self.low_mm), np.asarray(self.voxel_mm)
         return low - voxel / 2.0, low + voxel * (np.asarray(self.shape[::-1]) - 0.5)
 
+    def centers_mm(self, margin: float = 0.0) -> tuple[F64, F64]:
+        """Corners (3,) of the box of voxels' centres, widened by so many voxels."""
+        low, voxel = np.asarray(self.low_mm), np.asarray(self.voxel_mm)
+        high = low + voxel * (np.asarray(self.shape[::-1]) - 1)
+        return low - margin * voxel, high + margin * voxel
+
     @property
     def scored_box_mm(self) -> tuple[F64, F64]:
         """Corners (3,) of the box that scores see."""

@@ -12,9 +12,8 @@ from sabench.images.peaks import CLEAR, maxima
 from sabench.images.widths import LEAST_NOISE, SPOT_PX
 from sabench.utils.arrays import F32, FROM_MAD, I64, U16, Bool
 
-_NARROW = (
-    0.25  # of the typical peak's sharpness: neighbours of hot pixels, and dead ones, are darker
-)
+# of the typical peak's sharpness: neighbours of hot pixels, and dead ones, are darker
+_NARROW = 0.25
 _FAINT = 0.5  # of the median peak: the light of dimmer flaws does no harm
 _MARGIN = 1.5  # standard deviations by which both are certain
 _SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px

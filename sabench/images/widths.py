@@ -41,12 +41,9 @@ def image_widths(images: F32, pixels: list[F64]) -> F64:
         inner = np.array(image.shape[::-1]) - 2
         column, row = np.clip(np.rint(positions), 1, inner).astype(np.int64).T
         high = np.log(np.maximum(image, 1e-6))
-        bends = np.concatenate(
-            [
-                2.0 * high[row, column] - high[row, column - 1] - high[row, column + 1],
-                2.0 * high[row, column] - high[row - 1, column] - high[row + 1, column],
-            ]
-        )
+        across = 2.0 * high[row, column] - high[row, column - 1] - high[row, column + 1]
+        down = 2.0 * high[row, column] - high[row - 1, column] - high[row + 1, column]
+        bends = np.concatenate([across, down])
         bends = bends[(bends > 0.05) & (bends < 20.0)]
         square = float(np.quantile(1.0 / bends, 0.25)) - PIXEL if len(bends) else 0.0
         out.append(math.sqrt(max(square, 0.09)))
@@ -84,17 +81,10 @@ class ImageStatistics:
 
 
 def measure_images(images: F64, valid: Bool) -> ImageStatistics:
-    """Measure images (camera, row, column) less black.
-
-    Parameters
-    ----------
-    valid : the same shape, pixels that count.
-    """
-    pixels = [image[used] for image, used in zip(images, valid, strict=True)]
-    measured = [
-        _measure_image(image, _without_brightest(image, used))
-        for image, used in zip(images, valid, strict=True)
-    ]
+    """Measure images (camera, row, column) less black; valid pixels count."""
+    views = list(zip(images, valid, strict=True))
+    pixels = [image[used] for image, used in views]
+    measured = [_measure_image(image, _without_brightest(image, used)) for image, used in views]
     sigma, tilt, light, shown = map(np.array, zip(*measured, strict=True))
     noise = np.array([noise_below_black(values) for values in pixels])
     sums = np.array([float(values.sum()) for values in pixels])
@@ -110,10 +100,7 @@ def noise_below_black(values: F64 | F32) -> float:
 
 
 def _without_brightest(image: F64, valid: Bool) -> Bool:
-    """Leave out squares with over a tenth of the squared light.
-
-    They are kept if few peaks would be left.
-    """
+    """Leave out squares with over a tenth of the squared light if peaks are left."""
     import cv2  # takes long to load
 
     squares = np.where(valid, image, 0.0) ** 2
@@ -177,10 +164,7 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
 
 
 def _light_of_peaks(light: F64, noise: float) -> float:
-    """Measure the light around the middle one of an image's peaks.
-
-    It is infinite if they are few.
-    """
+    """Measure the light around the middle one of an image's peaks; infinite of few."""
     import cv2  # takes long to load
 
     peaks = _peaks(light, noise)

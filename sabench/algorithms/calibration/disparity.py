@@ -13,11 +13,7 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.particles.matching import follow_lines, move_to_pixel
-from sabench.geometry.volume_polynomials import (
-    VolumePolynomials,
-    project_point,
-    project_points,
-)
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
