@@ -98,7 +98,7 @@ def guess_white(frames: Sequence[U16]) -> float:
 
 
 def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
-    """Read up to so many grey images (row, column) of one size from files of one or more.
+    """Read up to so many grey images (row, column) of one size from files.
 
     Other files, colours and different sizes are InputErrors.
     """
@@ -194,7 +194,7 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
 
 
 def measure_noise(stack: U16) -> tuple[float, float, float]:
-    """Measure the noise of a stack: `fixed`, `fixed_near`, `temporal` of the camera."""
+    """Measure a stack's `fixed`, `fixed_near`, `temporal` (see `CameraStatistics`)."""
     import cv2
 
     quarter = len(stack) // 4

@@ -164,7 +164,7 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
 
 
 def _light_of_peaks(light: F64, noise: float) -> float:
-    """Measure the light around the middle one of an image's peaks; infinite of few."""
+    """Measure the light around the middle one of an image's peaks; infinite if few."""
     import cv2  # takes long to load
 
     peaks = _peaks(light, noise)

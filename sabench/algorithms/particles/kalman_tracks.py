@@ -296,12 +296,12 @@ def with_motion(
     times = np.array([other.time - frame.time for other in frames])
     seen = [(f.number[f.detected], f.position[f.detected], f.variance[f.detected]) for f in frames]
     numbers, *values = zip(*seen, strict=True)
-    positions = [values_of_tracks(frame.number, numbers, each) for each in values]
-    moving = np.isfinite(positions[0][:, :, 0]).sum(axis=1) > 1
+    position, variance = (values_of_tracks(frame.number, numbers, each) for each in values)
+    moving = np.isfinite(position[:, :, 0]).sum(axis=1) > 1
     still = np.zeros_like(frame.position), np.full_like(frame.position, ANY_SPEED**2)
-    state, _ = most_probable_motion(times, *positions, *still, *motion)
+    state, _ = most_probable_motion(times, position, variance, *still, *motion)
     expected = velocity_near(frame.position, frame.position[moving], state[moving, 1])
-    state, covariance = most_probable_motion(times, *positions, *expected, *motion)
+    state, covariance = most_probable_motion(times, position, variance, *expected, *motion)
     shown = frame.detected[:, None]
     place = np.where(shown, frame.position, state[:, 0])
     error = np.where(shown[:, None], np.asarray(particles.covariance_mm2), _diagonal(covariance, 0))

@@ -30,10 +30,7 @@ _LOG2_REST = tuple(_REST.astype(np.float32))
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
-    """Find the voxel where a position enters another pixel.
-
-    The position moves by `step` per voxel.
-    """
+    """Find the voxel where a position, moving by `step`, enters another pixel."""
     room = 1.0 - fraction if step > 0.0 else fraction
     if room >= abs(step) * (count - first):
         return count
@@ -118,10 +115,7 @@ def _interpolate(
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
-    """Fold one camera's samples into a tile.
-
-    Its rows lie TILE_COLUMNS apart in `total`.
-    """
+    """Fold one camera's samples into a tile of rows TILE_COLUMNS apart in `total`."""
     rows, columns = size
     flat, fours = image.ravel(), 0
     if len(spline) == 1 and abs(affine[2]) <= _SHEAR:
@@ -145,10 +139,7 @@ def _fold_four(
     total: Any,
     columns: int,
 ) -> None:
-    """Fold samples into four rows of a tile.
-
-    They share rows of pixels and positions.
-    """
+    """Fold samples into four rows of a tile that share rows of pixels and positions."""
     column_step, row_step = affine[1] - 1.0, affine[4]
     first = 0
     while first < columns:

@@ -268,10 +268,7 @@ def _multiply(
 
 @numba.njit(cache=True, fastmath=True)
 def _share(distance: Any, spread: Any) -> Any:
-    """Compute the part of a voxel's light a pixel gets along one axis.
-
-    See `Footprint`.
-    """
+    """Compute a pixel's part of a voxel's light along one axis; see `Footprint`."""
     one, none = np.float32(1.0), np.float32(0.0)
     direct = max(one - abs(distance), none)
     given = max(one - abs(distance - one), none) + max(one - abs(distance + one), none)

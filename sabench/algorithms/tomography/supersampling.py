@@ -85,10 +85,7 @@ def split(grid: Grid, count: Splits) -> Grid:
 
 
 def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
-    """Return the volume (z, y, x) on `grid` of Gaussian blobs of `sigma_mm`.
-
-    The blobs are points if it is 0.
-    """
+    """Return the volume (z, y, x) of Gaussian blobs of `sigma_mm`, points if it is 0."""
     x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
     volume = np.zeros(grid.shape, dtype=np.float32)
     fine = support.start, support.x, values, *support.shape[1:]

@@ -94,10 +94,7 @@ def _filter_rows(plane: Any, pole: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _cubic(part: Any) -> Any:
-    """Compute weights of the four nearest coefficients.
-
-    The argument is the fraction from the second one.
-    """
+    """Compute weights of the four nearest coefficients, a fraction from the second."""
     rest = np.float32(1.0) - part
     sixth = np.float32(1.0 / 6.0)
     outer, inner = rest * rest * rest * sixth, part * part * part * sixth
@@ -224,10 +221,7 @@ def _is_beyond(voxel: int, part: Any, count: int) -> bool:
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
-    """Find the voxel (x, y, z) and fraction where each one is read.
-
-    x is relative to its own.
-    """
+    """Find the voxel (x, y, z), x from its own, and fraction where each is read."""
     last = len(row) - 1
     for x in range(positions.shape[1]):
         at = (x - origin) / step
@@ -294,10 +288,7 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
 def _stretch(
     flat: Any, at: int, width: int, plane: int, positions: Any, first: int, end: int, out: Any
 ) -> None:
-    """Read adjacent voxels of a row, `at` + x.
-
-    Rows in one array let the loop vectorise.
-    """
+    """Read adjacent voxels of a row, `at` + x: rows in one array vectorise the loop."""
     row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
     for n in range(np.uint64(end - first)):
         x = np.uint64(first) + n

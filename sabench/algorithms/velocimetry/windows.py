@@ -149,10 +149,7 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _highest(curve: Any, search: Any, shift: Any) -> Any:
-    """Fill in the refined position (x, y, z) of the best small shift.
-
-    Return its height.
-    """
+    """Fill in the best small shift's refined position (x, y, z); return its height."""
     top = 0
     for n in range(len(curve)):
         if curve[n] > curve[top]:
