@@ -289,7 +289,7 @@ def _follow(
                 continue
             project_point(maps, 1, position, here, slope)
             for k in range(find_near(peaks[1], here, SEARCHED * radius, near)):
-                if left == len(tried) or count == len(positions) or _has(tried, left, near[k]):
+                if left == len(tried) or count == len(positions) or is_among(tried, left, near[k]):
                     continue
                 tried[left] = near[k]
                 left += 1
@@ -316,7 +316,7 @@ def _follow(
 
 
 @numba.njit(cache=True)
-def _has(values: Any, count: int, value: int) -> bool:
+def is_among(values: Any, count: int, value: int) -> bool:
     """Find a value among the first ones: a loop is faster to compile than arrays."""
     among = False
     for n in range(count):

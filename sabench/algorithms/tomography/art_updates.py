@@ -137,40 +137,21 @@ def _fill(
     slots: Any,
     buckets: Any,
 ) -> None:
+    """Put every part's voxels into their pixels; `slots` advances with each."""
     for part in range(jobs.start, jobs.stop):
-        _fill_part(
-            geometry, camera, parts[part], parts[part + 1], start, x, values, slots[part], buckets
-        )
-
-
-@numba.njit(cache=True)
-def _fill_part(
-    geometry: Any,
-    camera: int,
-    begin: int,
-    end: int,
-    start: Any,
-    x: Any,
-    values: Any,
-    slots: Any,
-    buckets: Any,
-) -> None:
-    """Put the voxels of some rows into their pixels; `slots` advances with each."""
-    work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
-    for row in range(begin, end):
-        base, across, down = locate(geometry, camera, row, x[start[row] : start[row + 1]], work)
-        for i in range(len(base)):
-            if base[i] >= 0:
-                slot = slots[base[i] - corner]
-                slots[base[i] - corner] += 1
-                buckets.voxel[slot] = start[row] + i
-                buckets.across[slot] = np.float32(base[i] % geometry.columns) + np.float32(
-                    across[i]
-                ) / np.float32(STEPS)
-                buckets.down[slot] = np.float32(base[i] // geometry.columns) + np.float32(
-                    down[i]
-                ) / np.float32(STEPS)
-                buckets.light[slot] = values[start[row] + i]
+        work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
+        for row in range(parts[part], parts[part + 1]):
+            base, across, down = locate(geometry, camera, row, x[start[row] : start[row + 1]], work)
+            for i in range(len(base)):
+                if base[i] >= 0:
+                    slot = slots[part, base[i] - corner]
+                    slots[part, base[i] - corner] += 1
+                    right, below = np.float32(across[i]), np.float32(down[i])
+                    column, line = base[i] % geometry.columns, base[i] // geometry.columns
+                    buckets.voxel[slot] = start[row] + i
+                    buckets.across[slot] = np.float32(column) + right / np.float32(STEPS)
+                    buckets.down[slot] = np.float32(line) + below / np.float32(STEPS)
+                    buckets.light[slot] = values[start[row] + i]
 
 
 @numba.njit(cache=True, nogil=True)

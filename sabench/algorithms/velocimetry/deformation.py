@@ -123,10 +123,8 @@ def deform_pair(
     for job in range(jobs.start, jobs.stop):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
-        positions, corners = (
-            np.empty((3, width), dtype=np.float32),
-            np.empty((3, width), dtype=np.int32),
-        )
+        positions = np.empty((3, width), dtype=np.float32)
+        corners = np.empty((3, width), dtype=np.int32)
         beyond = np.zeros(width, dtype=np.bool_)
         _aim(row, origin[2], step[2], -0.5, y, z, positions, corners)
         _read_row(first, positions, corners, z, y, out, beyond)
@@ -154,10 +152,8 @@ def deform(
     for job in range(jobs.start, jobs.stop):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
-        positions, corners = (
-            np.empty((3, width), dtype=np.float32),
-            np.empty((3, width), dtype=np.int32),
-        )
+        positions = np.empty((3, width), dtype=np.float32)
+        corners = np.empty((3, width), dtype=np.int32)
         beyond = np.zeros(width, dtype=np.bool_)
         _aim(row, origin[2], step[2], share, y, z, positions, corners)
         _read_row(coefficients, positions, corners, z, y, out, beyond)
@@ -177,16 +173,8 @@ def _read_row(
         if 1 <= j < height - 2 and 1 <= k < depth - 2:
             low = min(max(first, 1 - i), end)
             high = max(low, min(end, width - 2 - i))
-            _stretch(
-                coefficients.ravel(),
-                (k * height + j) * width + i,
-                width,
-                height * width,
-                positions,
-                low,
-                high,
-                out[z, y],
-            )
+            flat, corner = coefficients.ravel(), (k * height + j) * width + i
+            _stretch(flat, corner, width, height * width, positions, low, high, out[z, y])
         _read_edge(coefficients, positions, corners, first, low, out[z, y], beyond)
         _read_edge(coefficients, positions, corners, high, end, out[z, y], beyond)
         first = end
@@ -206,9 +194,8 @@ def _read_edge(
         ):
             beyond[x] = True
         else:
-            out[x] = _sample(
-                coefficients, (i, j, k), (positions[0, x], positions[1, x], positions[2, x])
-            )
+            part = positions[0, x], positions[1, x], positions[2, x]
+            out[x] = _sample(coefficients, (i, j, k), part)
 
 
 @numba.njit(cache=True)
