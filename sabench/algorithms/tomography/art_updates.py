@@ -82,14 +82,14 @@ def mart_sweep(
     slots = np.zeros((TASKS, geometry.rows * geometry.columns), dtype=np.int32)
     first = np.empty(geometry.rows * geometry.columns + 1, dtype=np.int64)
     voxels = parts, support.start, support.x
-    on_cores(_count, TASKS, geometry, camera, *voxels, slots)
+    on_cores(_count, TASKS, geometry, camera, voxels, slots)
     _number(slots, first)
     entries = int(first[-1])
     voxel = np.empty(entries, dtype=np.int32)
     across, down, light = (np.empty(entries, dtype=np.float32) for _ in range(3))
     spread, taps = np.float32(lines.footprint.spread), 2 + 2 * geometry.margin
     buckets = Buckets(spread, taps, geometry.columns, first, voxel, across, down, light)
-    on_cores(_fill, TASKS, geometry, camera, *voxels, values, slots, buckets)
+    on_cores(_fill, TASKS, geometry, camera, voxels, values, slots, buckets)
     missed = np.zeros(math.ceil(len(image) / STRIP))
     for odd in range(2):
         strips = (len(missed) - odd + 1) // 2
@@ -99,10 +99,9 @@ def mart_sweep(
 
 
 @numba.njit(cache=True, nogil=True)
-def _count(
-    jobs: slice, geometry: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any
-) -> None:
+def _count(jobs: slice, geometry: Any, camera: int, voxels: Any, slots: Any) -> None:
     """Count the voxels of every part on every pixel into zero slots (part, pixel)."""
+    parts, start, x = voxels
     for part in range(jobs.start, jobs.stop):
         work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
         for row in range(parts[part], parts[part + 1]):
@@ -127,17 +126,10 @@ def _number(slots: Any, first: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _fill(
-    jobs: slice,
-    geometry: Any,
-    camera: int,
-    parts: Any,
-    start: Any,
-    x: Any,
-    values: Any,
-    slots: Any,
-    buckets: Any,
+    jobs: slice, geometry: Any, camera: int, voxels: Any, values: Any, slots: Any, buckets: Any
 ) -> None:
     """Put every part's voxels into their pixels; `slots` advances with each."""
+    parts, start, x = voxels
     for part in range(jobs.start, jobs.stop):
         work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
         for row in range(parts[part], parts[part + 1]):
@@ -199,12 +191,8 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
     """Compute sum_j W_ij I_j of one pixel."""
     total = np.float32(0.0)
     for above in range(min(buckets.taps, row + 1)):
-        total += _sum(
-            *_stretch(buckets, row - above, column),
-            np.float32(row),
-            np.float32(column),
-            buckets.spread,
-        )
+        voxels = _stretch(buckets, row - above, column)
+        total += _sum(*voxels, np.float32(row), np.float32(column), buckets.spread)
     return total
 
 
@@ -212,13 +200,8 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
 def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
     """Multiply the voxels of one pixel: I_j <- I_j 2^(exponent W_ij)."""
     for above in range(min(buckets.taps, row + 1)):
-        _multiply(
-            *_stretch(buckets, row - above, column),
-            np.float32(row),
-            np.float32(column),
-            buckets.spread,
-            exponent,
-        )
+        voxels = _stretch(buckets, row - above, column)
+        _multiply(*voxels, np.float32(row), np.float32(column), buckets.spread, exponent)
 
 
 @numba.njit(cache=True)
@@ -242,9 +225,8 @@ def _multiply(
     down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any, exponent: Any
 ) -> None:
     for k in range(len(light)):
-        light[k] *= exp2(
-            exponent * _share(down[k] - row, spread) * _share(across[k] - column, spread)
-        )
+        part = exponent * _share(down[k] - row, spread)
+        light[k] *= exp2(part * _share(across[k] - column, spread))
 
 
 @numba.njit(cache=True, fastmath=True)
