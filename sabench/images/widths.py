@@ -13,6 +13,7 @@ Gaussian to each peak, and `particles.learned_model` all cameras' images of the 
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from sabench.images.dark_noise import FEWEST
@@ -101,8 +102,6 @@ def noise_below_black(values: F64 | F32) -> float:
 
 def _without_brightest(image: F64, valid: Bool) -> Bool:
     """Leave out squares with over a tenth of the squared light if peaks are left."""
-    import cv2  # takes long to load
-
     squares = np.where(valid, image, 0.0) ** 2
     inside = cv2.boxFilter(squares, -1, (2 * SPOT_PX + 1,) * 2, normalize=False)
     rest: Bool = valid & (inside <= _OUTSHINES * squares.sum())
@@ -118,8 +117,6 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
     0 follows without the noise of a pixel: it is the number of particles times their mean squared
     light over 4 pi s_x s_y. The mean is the number times their mean light.
     """
-    import cv2  # takes long to load
-
     light, count = np.where(valid, image, 0.0), valid.astype(np.float64)
     # less the mean of the known pixels around: where more particles are in the middle than at the
     # borders, products of pixels far apart, which leave out borders, would be larger than others
@@ -165,8 +162,6 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
 
 def _light_of_peaks(light: F64, noise: float) -> float:
     """Measure the light around the middle one of an image's peaks; infinite if few."""
-    import cv2  # takes long to load
-
     peaks = _peaks(light, noise)
     if peaks.sum() < FEWEST:
         return math.inf
@@ -175,8 +170,6 @@ def _light_of_peaks(light: F64, noise: float) -> float:
 
 
 def _peaks(light: F64, noise: float) -> Bool:
-    import cv2  # takes long to load
-
     shown = light.astype(np.float32)
     highest = cv2.dilate(shown, np.ones((SPOT_PX, SPOT_PX), np.uint8))
     return np.asarray((shown == highest) & (shown > CLEAR * noise))
