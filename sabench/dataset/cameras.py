@@ -120,10 +120,7 @@ class CamerasFile(schema.VersionedFile):
 
     @property
     def pinholes(self) -> tuple[Camera, ...]:
-        """The cameras, where all of them are pinholes.
-
-        Raises InputError for a camera of another model.
-        """
+        """The cameras, if all are pinholes; raises InputError for another model."""
         other = next((one.name for one in self.cameras if not isinstance(one, Camera)), None)
         if other is not None:
             raise InputError(f"{other}: expected a pinhole camera, got another camera model")
@@ -355,10 +352,7 @@ def list_cameras(cameras: Sequence[CameraModel], **keys: Any) -> dict[str, Any]:
 
 
 def _camera_entry(camera: CameraModel) -> dict[str, Any]:
-    """Make a camera's entry.
-
-    The entry of a pinhole leaves out the wall and the model, which is the default.
-    """
+    """Make a camera's entry; a pinhole's has no wall and no model, the default."""
     record = record_camera(camera)
     if isinstance(camera, Camera):
         del record["model"], record["wall"]

@@ -109,10 +109,7 @@ _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 
 @contextlib.contextmanager
 def open_hdf5(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file for reading.
-
-    Any fault inside becomes an InputError that names the file.
-    """
+    """Open an HDF5 file for reading; faults inside are InputErrors that name it."""
     if not path.is_file():
         raise InputError(f"{path}: expected an HDF5 file, found none")
     with name_faults(path), h5py.File(path, "r") as file:
@@ -266,10 +263,7 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
 
 
 def find_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> Any:
-    """Find a data set as `read_array` does, to read parts of it.
-
-    The cost of reading it is not checked.
-    """
+    """Find a data set as `read_array` does, to read parts of it; cost is not checked."""
     where = f"{file.filename}: {name}"
     node = _node(file, name, where)
     if not isinstance(node, h5py.Dataset) or node.is_virtual or node.external:

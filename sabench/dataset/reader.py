@@ -237,10 +237,7 @@ class Dataset(StoredFrames):
         return read_references(self.root)
 
     def radiance(self, frame: int) -> list[F32]:
-        """Read the noise-free radiance of every camera: truth, not for solvers.
-
-        In photons / (mm2 sr).
-        """
+        """Read the true noise-free radiance of every camera, photons / (mm2 sr)."""
         self._check_frame(frame)
         return [
             read_exr(

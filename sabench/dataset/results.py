@@ -236,19 +236,13 @@ def read_result_cameras(path: Path) -> tuple[CameraModel, ...]:
 
 
 def read_dataset_names(path: Path) -> DatasetNames:
-    """Read which data set a result belongs to.
-
-    Raises as `open_result` does.
-    """
+    """Read which data set a result belongs to; raises as `open_result`."""
     with hdf5.open_hdf5(path) as file:
         return _names(_head(file))
 
 
 def read_solver(path: Path) -> str:
-    """Read the name of the solver of a result.
-
-    Raises as `open_result` does.
-    """
+    """Read the name of the solver of a result; raises as `open_result`."""
     with hdf5.open_hdf5(path) as file:
         return _solver(_head(file))
 

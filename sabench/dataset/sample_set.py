@@ -106,10 +106,7 @@ class Batch(Generic[S]):
 
 
 def make_batch(samples: Sequence[S]) -> Batch[S]:
-    """Put samples together.
-
-    Raises InputError for images of different shapes.
-    """
+    """Put samples together; raises InputError for images of different shapes."""
     images = [one.images for one in samples]
     for one in samples:
         if one.images.shape != images[0].shape:
@@ -176,10 +173,7 @@ class SampleSet(Sequence[StoredSample]):
         return counts
 
     def split(self, name: str) -> SampleSet:
-        """Select the samples of a split.
-
-        Raises InputError if there is no such split.
-        """
+        """Select the samples of a split; raises InputError if there is none."""
         if name not in self.splits:
             raise InputError(
                 f"{self.root}: expected one of the splits {', '.join(self.splits)}, got {name!r}"

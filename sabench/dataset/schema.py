@@ -179,10 +179,7 @@ class RecordedManifest(Contents):
 
 
 def image_name(camera: str, frame: int, suffix: str) -> str:
-    """Name the path of an image inside a data set.
-
-    `suffix` is tif (grey values) or exr (radiance).
-    """
+    """Name the path of an image in a data set: tif (grey values) or exr (radiance)."""
     return f"images/frame_{frame:04d}/{camera}.{suffix}"
 
 

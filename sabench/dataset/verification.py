@@ -130,10 +130,7 @@ def verify(path: str | Path) -> list[str]:
 
 
 def describe_contents(path: str | Path) -> str:
-    """Say what samples, or a recorded data set, hold, as the end of a sentence.
-
-    "" for any other.
-    """
+    """Say what samples or a recorded data set hold, to end a sentence; "" for others."""
     contents = schema.read_manifest(Path(path))
     if isinstance(contents, schema.ShardedContents):
         splits = ", ".join(f"{n} {name}" for name, n in open_samples(path).splits.items())
@@ -223,10 +220,7 @@ def _observation_faults(dataset: Dataset) -> Iterator[str]:
 
 
 def _check_scene(dataset: Dataset) -> None:
-    """Check that the resolved scene is the one that the manifest names.
-
-    Its generator need not be installed.
-    """
+    """Check that the resolved scene is the manifest's; its generator may be missing."""
     path, scene = inside(dataset.root, schema.SCENE), dataset.scene
     if scene.hash != dataset.manifest.scene_hash:
         raise InputError(

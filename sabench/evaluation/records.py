@@ -122,10 +122,7 @@ def append(path: Path, record: Record) -> None:
 
 
 def encode(record: Record) -> bytes:
-    """Make the line of a record.
-
-    Raises InputError: a record that breaks the schema.
-    """
+    """Make the line of a record; raises InputError if it breaks the schema."""
     head = {key: RecordHead.model_fields[key].default for key in ("format", "version")}
     try:
         line = json.dumps(head | record, sort_keys=True, allow_nan=False).encode()

@@ -70,10 +70,7 @@ def reproduce(
 
 
 def load_reproduction(module: str = "") -> ModuleType:
-    """Import the package in reproduction/, or a module of it.
-
-    Raises InputError: the folder is missing.
-    """
+    """Import reproduction/ or a module of it; InputError if the folder is missing."""
     package = _load(plugins.bundled_folder("reproduction"))
     return importlib.import_module(f"{_NAME}.{module}") if module else package
 

@@ -236,10 +236,7 @@ def _ideal_lattice(camera: Camera, column: npt.ArrayLike, row: npt.ArrayLike) ->
 
 
 def aimed_rotation(forward: F64, down: npt.ArrayLike = (0.0, 1.0, 0.0)) -> Rotation:
-    """Make the world-to-camera rotation whose Z axis is `forward`.
-
-    Its Y axis is as near to `down` as it can be.
-    """
+    """Make the world-to-camera rotation with Z axis `forward` and Y axis near `down`."""
     z = forward / np.linalg.norm(forward)
     x = cross(np.asarray(down, dtype=np.float64), z)
     if np.linalg.norm(x) < 1e-9:  # along `down`: any right-hand side will do, so the world's X

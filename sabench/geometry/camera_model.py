@@ -81,10 +81,7 @@ class WalledPinhole(SensorCamera):
         raise NotImplementedError(f"{type(self).__name__} must implement ideal()")
 
     def directions(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Compute unit world directions (n, 3) in the camera's medium of pixels (n, 2).
-
-        Pixels are (column, row).
-        """
+        """Compute unit world directions (n, 3) in the camera's medium of pixels (n, 2)."""
         ideal, valid = self.ideal(pixels)
         local = np.column_stack([ideal, np.ones(len(ideal))])
         local /= np.linalg.norm(local, axis=1, keepdims=True)

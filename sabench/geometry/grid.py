@@ -51,6 +51,12 @@ class Grid:
         low, voxel = np.asarray(self.low_mm), np.asarray(self.voxel_mm)
         return low - voxel / 2.0, low + voxel * (np.asarray(self.shape[::-1]) - 0.5)
 
+    def centers_mm(self, margin: float = 0.0) -> tuple[F64, F64]:
+        """Corners (3,) of the box of voxels' centres, widened by so many voxels."""
+        low, voxel = np.asarray(self.low_mm), np.asarray(self.voxel_mm)
+        high = low + voxel * (np.asarray(self.shape[::-1]) - 1)
+        return low - margin * voxel, high + margin * voxel
+
     @property
     def scored_box_mm(self) -> tuple[F64, F64]:
         """Corners (3,) of the box that scores see."""
@@ -68,10 +74,7 @@ class Grid:
         return z, y, x
 
     def in_scored(self, voxels: F64) -> Bool:
-        """Mark fractional voxel indices (n, 3) in the scored part.
-
-        Each voxel is a cell around its centre.
-        """
+        """Mark fractional voxel indices (n, 3) in the scored part's cells."""
         low = np.asarray(self.crop) - 0.5
         high = np.asarray(self.shape[::-1]) - np.asarray(self.crop) - 0.5
         return np.asarray(((voxels >= low) & (voxels < high)).all(axis=1))
@@ -207,10 +210,7 @@ def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:
 
 
 def inner(shape: tuple[int, int, int]) -> Bool:
-    """Mark the nodes (z, y, x) of a lattice that have central differences.
-
-    Axes of a single node do not count.
-    """
+    """Mark nodes (z, y, x) with central differences along all axes of several nodes."""
     out = np.zeros(shape, dtype=np.bool_)
     out[tuple(slice(1, -1) if count > 1 else slice(None) for count in shape)] = True
     return out

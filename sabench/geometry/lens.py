@@ -35,10 +35,7 @@ class Distortion:
 
 @functools.cache
 def _fold_square(lens: Distortion) -> float:
-    """Find the squared ideal radius where the radial part stops growing.
-
-    Beyond it, two points share a pixel.
-    """
+    """Find the squared ideal radius beyond which two points share a pixel."""
     roots = np.roots([7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0])
     real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
     return float(real.min()) if len(real) else float("inf")

@@ -55,10 +55,7 @@ class _Fitted(SensorCamera):
         return triple(np.linalg.lstsq(across.sum(axis=0), right, rcond=None)[0])
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Find points of the plane at `z_mm` with the same pixels as points (n, 3).
-
-        Returns (n, 2).
-        """
+        """Find points (n, 2) of the plane at `z_mm` with the pixels of points (n, 3)."""
         return self._on_plane(self.project(points_mm)[0], z_mm, points_mm[:, :2])[:, :2]
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:

@@ -49,10 +49,7 @@ class Projective(SensorCamera):
         return triple(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
-
-        Returns (n, 2).
-        """
+        """Intersect lines of sight through points (n, 3) with z = `z_mm`: (n, 2)."""
         ray = points_mm - np.asarray(self.center_mm)
         return np.asarray(points_mm[:, :2] + ray[:, :2] / ray[:, 2:] * (z_mm - points_mm[:, 2:]))
 

@@ -74,10 +74,7 @@ def points_in_mm(maps: VolumePolynomials, positions: F64) -> F64:
 
 
 def _project_exactly(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
-    """Project points (n, 3) exactly to pixels (n, 2 cameras).
-
-    Column and row of each camera in turn.
-    """
+    """Project points (n, 3) exactly: columns and rows of all cameras, (n, 2 cameras)."""
     pixels = np.stack([camera.project(points_mm)[0] for camera in cameras], axis=1)
     if not np.isfinite(pixels).all():
         raise ValueError(
@@ -155,10 +152,7 @@ def project_row(
 
 
 def project_points(maps: VolumePolynomials, camera: int, points: F64) -> F64:
-    """Compute a camera's pixels (n, 2) of points (n, 3).
-
-    The points' coordinates run from -1 to 1.
-    """
+    """Compute a camera's pixels (n, 2) of points (n, 3) of coordinates from -1 to 1."""
     return project_with_slopes(maps, camera, points)[0]
 
 

@@ -121,10 +121,7 @@ def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
 
 
 def noise_cut_by_black(grey: U16, valid: Bool, black_dn: float) -> float:
-    """Measure the noise of an image (row, column) if black cuts it.
-
-    It is 0 if the noise shows below black.
-    """
+    """Measure the noise of an image (row, column) if black cuts it, otherwise 0."""
     least = grey[valid].min() if valid.any() else 0
     if least < black_dn or np.mean(grey[valid] == least) <= LOW:
         return 0.0

@@ -9,10 +9,7 @@ from sabench.utils.vector_units import fill_edges, fill_edges_and_slopes
 
 @numba.njit(cache=True)
 def fill_shares(center: float, sigma: float, first: int, pixels: int, shares: Any) -> None:
-    """Fill in shares (lane,) of a Gaussian from pixel `first` on, then zeros.
-
-    Shares are exact to 1e-8.
-    """
+    """Fill in a Gaussian's shares (lane,) from pixel `first` on, to 1e-8, then zeros."""
     step = 1.0 / (sigma * math.sqrt(2.0))
     fill_edges(shares, (first - 0.5 - center) * step, step, pixels)
 
@@ -41,10 +38,7 @@ def fill_bend(center: float, sigma: float, first: int, bend: Any) -> None:
 
 @numba.njit(cache=True)
 def fill_derivatives(center: float, sigma: float, first: int, derivatives: Any) -> None:
-    """Fill in the second to fifth derivatives (4, n) of shares.
-
-    They are computed by Hermite's polynomials.
-    """
+    """Fill in second to fifth derivatives (4, n) of shares by Hermite's polynomials."""
     scale, pixels = -1.0 / (math.sqrt(2.0 * math.pi) * sigma**2), derivatives.shape[1]
     for i in range(pixels + 1):
         z = (first + i - 0.5 - center) / sigma

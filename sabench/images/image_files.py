@@ -6,7 +6,7 @@ folder with numbers, one file for each camera with all its frames.
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from sabench.utils.errors import InputError
@@ -108,16 +108,12 @@ def _compile(pattern: str) -> re.Pattern[str]:
 
 def _by_folder(folder: Path, cameras: Sequence[str]) -> Files:
     """Find folders of cameras, or of frames with a file for each camera."""
-    inner = sorted((path for path in folder.iterdir() if path.is_dir()), key=_natural)
+    inner = _sorted(path for path in folder.iterdir() if path.is_dir())
     held = {path.name: files for path in inner if (files := _images_in(path))}
-    stems = {path.stem for files in held.values() for path in files}
-    if not held or not stems <= set(cameras) or set(held) & set(cameras):
+    every = [path for files in held.values() for path in files]
+    if not held or not {path.stem for path in every} <= set(cameras) or set(held) & set(cameras):
         return held
-    by_camera: dict[str, list[Path]] = {name: [] for name in cameras}
-    for files in held.values():
-        for path in files:
-            by_camera[path.stem].append(path)
-    return {name: tuple(files) for name, files in by_camera.items()}
+    return {name: tuple(path for path in every if path.stem == name) for name in cameras}
 
 
 def _in_one_folder(files: Sequence[Path], cameras: Sequence[str]) -> Files:
@@ -134,13 +130,13 @@ def _in_one_folder(files: Sequence[Path], cameras: Sequence[str]) -> Files:
 def _images_in(folder: Path) -> tuple[Path, ...]:
     shown = (path for path in folder.iterdir() if path.is_file() and path.name[:1] != ".")
     images = (path for path in shown if path.suffix.lower() in READABLE or _is_numbered(path))
-    return tuple(sorted(images, key=_natural))
+    return tuple(_sorted(images))
+
+
+def _sorted(paths: Iterable[Path]) -> list[Path]:
+    return sorted(paths, key=lambda path: natural_order(path.name))
 
 
 def _is_numbered(path: Path) -> bool:
     """Return whether the suffix is a frame's number, as OpenPTV names images."""
     return path.suffix[1:].isdigit()
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    return natural_order(path.name)

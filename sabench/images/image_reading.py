@@ -177,10 +177,7 @@ def _store_photographs(_: Path, paths: Sequence[Path], folder: Path) -> None:
 
 
 def _is_negative(path: Path, image: Any) -> bool:
-    """Return whether 0 is white in a TIFF of 16 bits.
-
-    OpenCV inverts only those of 8 bits.
-    """
+    """Return whether 0 is white in a TIFF of 16 bits, which OpenCV does not invert."""
     import tifffile
 
     if path.suffix.lower() not in (".tif", ".tiff") or image.dtype != np.uint16:
@@ -208,10 +205,8 @@ def _store_movie(path: Path, _: Sequence[Path], folder: Path) -> None:
 
 
 def _grey(path: Path, image: Any) -> U16:
-    if (
-        image.dtype.kind == "f"
-        and (image == np.clip(np.rint(image), 0, np.iinfo(np.uint16).max)).all()
-    ):
+    most = np.iinfo(np.uint16).max
+    if image.dtype.kind == "f" and (image == np.clip(np.rint(image), 0, most)).all():
         image = image.astype(np.uint16)
     if image.dtype.kind not in "ui" or image.dtype.itemsize > 2:
         raise InputError(

@@ -7,6 +7,7 @@ joins plateaus, the lattice of `particles.candidate_search` keeps the first of e
 import math
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from sabench.images.dark_noise import FALSE_ALARMS, DarkNoise, measure_dark_noise
@@ -68,8 +69,6 @@ def maxima(light: F32, least: float) -> I64:
 
     They have `least` or more. The first of equal ones counts.
     """
-    import cv2  # takes long to load
-
     earlier = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], dtype=np.uint8)
     before, behind = cv2.dilate(light, earlier), cv2.dilate(light, earlier[::-1, ::-1])
     top = (light >= np.float32(least)) & (light > before) & (light >= behind)
@@ -150,8 +149,6 @@ def find_lone_pixels(light: F32, noise: F32) -> Bool:
     most peaks show that they hardly do, those in the middle of a pixel look like hot pixels, and
     none is marked.
     """
-    import cv2  # takes long to load
-
     around = cv2.boxFilter(light, -1, (3, 3), normalize=False) - light
     lone = (light > CLEAR * noise) & (around < _LONE * light)
     row, column = maxima(np.where(light > CLEAR * noise, light, np.float32(0.0)), 0.0)

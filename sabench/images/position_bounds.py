@@ -17,7 +17,7 @@ from sabench.images.gaussian_kernels import fill_profile
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
-from sabench.utils.threads import share_rows
+from sabench.utils.threads import on_cores
 from sabench.utils.vector_units import add_product, whole_lanes
 
 _REACH = 4.0  # standard deviations from the centre of an image to its window's edge
@@ -70,11 +70,8 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     information = np.zeros((len(rows), _UNKNOWNS, _UNKNOWNS))
     known = own + np.eye(_UNKNOWNS) * (_ROUNDING * own + np.finfo(float).tiny)
     inverse = np.linalg.inv(known)
-
-    def reduce(part: slice) -> None:
-        _fill_information(starts, near, own, known, inverse, both, rows[part], information[part])
-
-    share_rows(reduce, len(rows))
+    blocks = own, known, inverse, both
+    on_cores(_fill_information, len(rows), starts, near, blocks, rows, information)
     return _covariances(information)
 
 
@@ -111,14 +108,8 @@ def _add_information(
     first = np.zeros((count, 2), dtype=np.int64)
     grey, change = np.zeros((count, 2, size)), np.zeros((count, 2, size))
     _fill_profiles(pixel, camera.sigma_px, half, first, grey, change)
-    weight = 1.0 / camera.variance
-
-    def add(part: slice) -> None:
-        pairs = np.arange(part.start, part.stop), starts, near
-        images = pixel, camera.sigma_px, camera.light, (first, half, grey, change), camera.slope
-        _add_pairs(*pairs, *images, weight, own, both)
-
-    share_rows(add, count)
+    images = pixel, camera.sigma_px, camera.light, (first, half, grey, change), camera.slope
+    on_cores(_add_pairs, count, starts, near, images, 1.0 / camera.variance, own, both)
 
 
 @numba.njit(cache=True)
@@ -137,21 +128,12 @@ def _fill_profiles(
 
 @numba.njit(cache=True, nogil=True)
 def _add_pairs(
-    rows: Any,
-    starts: Any,
-    near: Any,
-    pixel: Any,
-    sigma: Any,
-    light: Any,
-    shapes: Any,
-    slope: Any,
-    weight: Any,
-    own: Any,
-    both: Any,
+    jobs: slice, starts: Any, near: Any, images: Any, weight: Any, own: Any, both: Any
 ) -> None:  # pragma: no cover
     """Add the information of some particles' images, and of pairs with later ones."""
+    pixel, sigma, light, shapes, slope = images
     inner, block = np.zeros((3, 3)), np.zeros((_UNKNOWNS, _UNKNOWNS))
-    for i in rows:
+    for i in range(jobs.start, jobs.stop):
         if np.isnan(pixel[i, 0]):
             continue
         _overlap(i, i, light, shapes, weight, inner)
@@ -225,20 +207,21 @@ def _overlap(
 
 @numba.njit(cache=True, nogil=True)
 def _fill_information(
-    starts: Any, near: Any, own: Any, known: Any, inverse: Any, both: Any, rows: Any, out: Any
+    jobs: slice, starts: Any, near: Any, blocks: Any, rows: Any, out: Any
 ) -> None:  # pragma: no cover
     """Fill in the information of particles whose partners are fitted, too."""
+    own, known, inverse, both = blocks
     slot = np.full(len(own), -1)  # of a particle among the partners of the present one
-    for k in range(len(rows)):
+    for k in range(jobs.start, jobs.stop):
         i = rows[k]
         partners = near[starts[i] : starts[i + 1]]
         for n in range(len(partners)):
             slot[partners[n]] = n
-        links, places, ends = _among(starts, near, partners, slot)
+        pairs = _among(starts, near, partners, slot)
         for partner in partners:
             slot[partner] = -1
         shared = both[starts[i] : starts[i + 1]]
-        _reduce(own[i], shared, partners, known, inverse, links, places, ends, both, out[k])
+        _reduce(own[i], shared, partners, known, inverse, pairs, both, out[k])
 
 
 @numba.njit(inline="always")
@@ -261,16 +244,7 @@ def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: 
 
 @numba.njit(cache=True)
 def _reduce(
-    own: Any,
-    shared: Any,
-    partners: Any,
-    known: Any,
-    inverse: Any,
-    links: Any,
-    places: Any,
-    ends: Any,
-    both: Any,
-    out: Any,
+    own: Any, shared: Any, partners: Any, known: Any, inverse: Any, pairs: Any, both: Any, out: Any
 ) -> None:  # pragma: no cover
     """Compute a particle's information (4, 4) if its partners are fitted, too.
 
@@ -292,7 +266,7 @@ def _reduce(
         rest[a] = own[a, a]
     for _ in range(count * k):
         _times_blocks(known, partners, step, pull)
-        _add_links(links, places, ends, both, step, pull)
+        _add_links(pairs, both, step, pull)
         _fill_product(step, pull, bend)
         exact = True
         for a in range(k):
@@ -339,10 +313,9 @@ def _times_blocks(blocks: Any, rows: Any, vectors: Any, out: Any) -> None:  # pr
 
 
 @numba.njit(inline="always")
-def _add_links(
-    links: Any, places: Any, ends: Any, both: Any, vectors: Any, out: Any
-) -> None:  # pragma: no cover
+def _add_links(pairs: Any, both: Any, vectors: Any, out: Any) -> None:  # pragma: no cover
     """Add products of blocks of pairs with the others' vectors."""
+    links, places, ends = pairs
     for n in range(len(out)):
         for link in range(links[n], links[n + 1]):
             add_product(out, n, both, places[link], vectors, ends[link])

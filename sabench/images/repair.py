@@ -5,6 +5,7 @@ those of particles' peaks. A dead pixel is darker than the light on all of its s
 is a bright area wider than any particle's image.
 """
 
+import cv2
 import numpy as np
 
 from sabench.images.flaws import Flaws, Repaired
@@ -12,9 +13,8 @@ from sabench.images.peaks import CLEAR, maxima
 from sabench.images.widths import LEAST_NOISE, SPOT_PX
 from sabench.utils.arrays import F32, FROM_MAD, I64, U16, Bool
 
-_NARROW = (
-    0.25  # of the typical peak's sharpness: neighbours of hot pixels, and dead ones, are darker
-)
+# of the typical peak's sharpness: neighbours of hot pixels, and dead ones, are darker
+_NARROW = 0.25
 _FAINT = 0.5  # of the median peak: the light of dimmer flaws does no harm
 _MARGIN = 1.5  # standard deviations by which both are certain
 _SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px
@@ -49,8 +49,6 @@ def above_background(grey: U16) -> tuple[F32, float]:
     3 x 3 pixels. A distance of k counts as spread evenly from k - 0.5 to k + 0.5, which resolves
     noise of less than a grey value.
     """
-    import cv2  # takes long to load
-
     smooth = cv2.medianBlur(grey, 3)
     low = cv2.erode(smooth, np.ones((SPOT_PX + 2,) * 2, dtype=np.uint8))
     away = cv2.absdiff(grey, smooth)[smooth <= np.median(smooth)]
@@ -71,8 +69,6 @@ def peak_light(light: F32, noise: float) -> float:
 
 def find_points(grey: U16, black_dn: float) -> Bool:
     """Find hot and dead pixels (row, column)."""
-    import cv2
-
     light, noise = above_background(grey)
     points = np.zeros(light.shape, dtype=np.bool_)
     row, column = maxima(light, CLEAR * noise)
@@ -98,8 +94,6 @@ def find_points(grey: U16, black_dn: float) -> Bool:
 
 def find_reflections(grey: U16, white_dn: float) -> Bool:
     """Find areas (row, column) of light that is no particle's."""
-    import cv2
-
     light, noise = above_background(grey)
     peak = peak_light(light, noise)
     if peak == 0.0:
@@ -123,8 +117,6 @@ def _dim_sides(light: F32) -> F32:
 
     Those beyond the border are mirrored. Two hot pixels may touch.
     """
-    import cv2
-
     wide = cv2.copyMakeBorder(light, 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
     across, down = (wide[1:-1, :-2], wide[1:-1, 2:]), (wide[:-2, 1:-1], wide[2:, 1:-1])
     brightest = np.maximum(np.maximum(*across), np.maximum(*down))

@@ -98,9 +98,7 @@ def guess_white(frames: Sequence[U16]) -> float:
 
 
 def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
-    """Read up to so many grey images (row, column) of one size.
-
-    A file may hold several.
+    """Read up to so many grey images (row, column) of one size from files.
 
     Other files, colours and different sizes are InputErrors.
     """
@@ -172,19 +170,13 @@ class CameraStatistics:
 
 
 def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
-    """Measure one camera's images (row, column), saturated at `white_dn`.
-
-    Images are read one after the other.
-    """
+    """Measure one camera's images (row, column), saturated at `white_dn`."""
     stack = np.stack(frames)
     scale = SCALED_WHITE / white_dn
     low = [(frame - above_background(frame)[0]).astype(np.uint16) for frame in frames]
     fixed, near, temporal = measure_noise(stack) if len(stack) >= NOISE_FRAMES else [np.nan] * 3
     fits = [fit_particle_images(frame, white_dn) for frame in frames]
-    width, flux, height = (
-        np.concatenate([getattr(fit, name) for fit in fits])
-        for name in ("width_px", "flux", "height")
-    )
+    _, width, flux, height = map(np.concatenate, list(zip(*fits, strict=True))[:4])
     background = (scale * np.percentile(low, [5.0, 50.0, 95.0])).tolist()
     median = scale * float(np.median(height)) if len(height) else np.nan
     widths = np.percentile(width, [10.0, 50.0, 90.0]).tolist() if len(width) else [np.nan] * 3
@@ -202,10 +194,7 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
 
 
 def measure_noise(stack: U16) -> tuple[float, float, float]:
-    """Measure `fixed`, `fixed_near` and `temporal` noise of a stack.
-
-    See `CameraStatistics`.
-    """
+    """Measure a stack's `fixed`, `fixed_near`, `temporal` (see `CameraStatistics`)."""
     import cv2
 
     quarter = len(stack) // 4
@@ -358,8 +347,8 @@ def flux_near(images: FittedImages, pixels: F64, reach_px: float, apart_px: floa
         return out
     asked, shown = cKDTree(pixels[finite]), cKDTree(images.pixel)
     distance, nearest = shown.query(pixels[finite])
-    near = [len(neighbours) for neighbours in shown.query_ball_point(pixels[finite], apart_px)]
-    lone = [len(neighbours) for neighbours in asked.query_ball_point(pixels[finite], apart_px)]
-    good = (distance <= reach_px) & (np.array(near) == 1) & (np.array(lone) == 1)
+    good = distance <= reach_px
+    for tree in (asked, shown):
+        good &= tree.query_ball_point(pixels[finite], apart_px, return_length=True) == 1
     out[finite[good]] = images.flux[nearest[good]]
     return out

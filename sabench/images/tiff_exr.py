@@ -19,10 +19,7 @@ _CHANNEL_Y = b"Y\0" + struct.pack("<iB3xii", 2, 0, 1, 1) + b"\0"
 
 
 def write_tiff(path: Path, image: U16) -> None:
-    """Write grey values (rows, columns) as a reproducible 16-bit TIFF.
-
-    The TIFF is not compressed.
-    """
+    """Write grey values (rows, columns) as a reproducible uncompressed 16-bit TIFF."""
     import tifffile
 
     # written in one piece: a full disk is then the system's own error, with its reason
@@ -32,9 +29,7 @@ def write_tiff(path: Path, image: U16) -> None:
 
 
 def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
-    """Read the grey values of a 16-bit TIFF of that shape.
-
-    Other files are an InputError.
+    """Read the grey values of a 16-bit TIFF of that shape; others are an InputError.
 
     Nothing is decoded unless the tags are those of the format: one uncompressed page in strips.
     """

@@ -13,6 +13,7 @@ Gaussian to each peak, and `particles.learned_model` all cameras' images of the 
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from sabench.images.dark_noise import FEWEST
@@ -41,12 +42,9 @@ def image_widths(images: F32, pixels: list[F64]) -> F64:
         inner = np.array(image.shape[::-1]) - 2
         column, row = np.clip(np.rint(positions), 1, inner).astype(np.int64).T
         high = np.log(np.maximum(image, 1e-6))
-        bends = np.concatenate(
-            [
-                2.0 * high[row, column] - high[row, column - 1] - high[row, column + 1],
-                2.0 * high[row, column] - high[row - 1, column] - high[row + 1, column],
-            ]
-        )
+        across = 2.0 * high[row, column] - high[row, column - 1] - high[row, column + 1]
+        down = 2.0 * high[row, column] - high[row - 1, column] - high[row + 1, column]
+        bends = np.concatenate([across, down])
         bends = bends[(bends > 0.05) & (bends < 20.0)]
         square = float(np.quantile(1.0 / bends, 0.25)) - PIXEL if len(bends) else 0.0
         out.append(math.sqrt(max(square, 0.09)))
@@ -84,17 +82,10 @@ class ImageStatistics:
 
 
 def measure_images(images: F64, valid: Bool) -> ImageStatistics:
-    """Measure images (camera, row, column) less black.
-
-    Parameters
-    ----------
-    valid : the same shape, pixels that count.
-    """
-    pixels = [image[used] for image, used in zip(images, valid, strict=True)]
-    measured = [
-        _measure_image(image, _without_brightest(image, used))
-        for image, used in zip(images, valid, strict=True)
-    ]
+    """Measure images (camera, row, column) less black; valid pixels count."""
+    views = list(zip(images, valid, strict=True))
+    pixels = [image[used] for image, used in views]
+    measured = [_measure_image(image, _without_brightest(image, used)) for image, used in views]
     sigma, tilt, light, shown = map(np.array, zip(*measured, strict=True))
     noise = np.array([noise_below_black(values) for values in pixels])
     sums = np.array([float(values.sum()) for values in pixels])
@@ -110,12 +101,7 @@ def noise_below_black(values: F64 | F32) -> float:
 
 
 def _without_brightest(image: F64, valid: Bool) -> Bool:
-    """Leave out squares with over a tenth of the squared light.
-
-    They are kept if few peaks would be left.
-    """
-    import cv2  # takes long to load
-
+    """Leave out squares with over a tenth of the squared light if peaks are left."""
     squares = np.where(valid, image, 0.0) ** 2
     inside = cv2.boxFilter(squares, -1, (2 * SPOT_PX + 1,) * 2, normalize=False)
     rest: Bool = valid & (inside <= _OUTSHINES * squares.sum())
@@ -131,8 +117,6 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
     0 follows without the noise of a pixel: it is the number of particles times their mean squared
     light over 4 pi s_x s_y. The mean is the number times their mean light.
     """
-    import cv2  # takes long to load
-
     light, count = np.where(valid, image, 0.0), valid.astype(np.float64)
     # less the mean of the known pixels around: where more particles are in the middle than at the
     # borders, products of pixels far apart, which leave out borders, would be larger than others
@@ -177,12 +161,7 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
 
 
 def _light_of_peaks(light: F64, noise: float) -> float:
-    """Measure the light around the middle one of an image's peaks.
-
-    It is infinite if they are few.
-    """
-    import cv2  # takes long to load
-
+    """Measure the light around the middle one of an image's peaks; infinite if few."""
     peaks = _peaks(light, noise)
     if peaks.sum() < FEWEST:
         return math.inf
@@ -191,8 +170,6 @@ def _light_of_peaks(light: F64, noise: float) -> float:
 
 
 def _peaks(light: F64, noise: float) -> Bool:
-    import cv2  # takes long to load
-
     shown = light.astype(np.float32)
     highest = cv2.dilate(shown, np.ones((SPOT_PX, SPOT_PX), np.uint8))
     return np.asarray((shown == highest) & (shown > CLEAR * noise))

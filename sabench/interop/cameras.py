@@ -8,8 +8,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Literal, NamedTuple
 
-import numpy as np
-
 from sabench.dataset.cameras import read_calibrated
 from sabench.dataset.results import read_result_cameras
 from sabench.dataset.schema import CAMERAS
@@ -141,9 +139,7 @@ def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
 def _extent(size: tuple[int, int] | None, grid: Grid | None) -> Extent:
     if grid is None:
         return Extent(size)
-    low = np.asarray(grid.low_mm)
-    high = low + np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1)
-    return Extent(size, grid.low_mm, tuple(high.tolist()))
+    return Extent(size, grid.low_mm, tuple(grid.centers_mm()[1].tolist()))
 
 
 def _check_names(path: Path, cameras: Sequence[CameraModel]) -> None:

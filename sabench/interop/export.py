@@ -65,10 +65,7 @@ def _write_coco(root: Path, data: Dataset) -> None:
 
 
 def _annotations(bubbles: Bubbles, sight: Sight) -> Iterator[dict[str, Any]]:
-    """Describe the bubbles that a camera sees.
-
-    `bubble` is their id in all frames and cameras.
-    """
+    """Describe a camera's bubbles; `bubble` is their id in all frames and cameras."""
     for row, identity in enumerate(bubbles.id.tolist()):
         mask = sight.number == row
         if mask.any():

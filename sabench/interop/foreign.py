@@ -46,10 +46,7 @@ def check_form(what: str, form: str, known: Any) -> None:
 
 
 def unit_mm(unit: str) -> float:
-    """Return a unit of length in mm.
-
-    Raises InputError for a unit that is not known.
-    """
+    """Return a unit of length in mm; raises InputError for one that is not known."""
     if unit not in LENGTHS_MM:
         raise InputError(f"unit: expected one of {', '.join(LENGTHS_MM)}, got {unit!r}")
     return LENGTHS_MM[unit]

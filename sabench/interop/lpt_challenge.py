@@ -112,10 +112,7 @@ def _pinhole(camera: Projective, where: str) -> CameraModel | None:
 def write_cameras(
     folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
 ) -> None:
-    """Write the pixels of points (n, 3) in all cameras.
-
-    Raises InputError for no points.
-    """
+    """Write pixels of points (n, 3) in all cameras; raises InputError for no points."""
     if points_mm is None:
         raise InputError("lpt-challenge: expected a grid, over which the points are placed")
     columns = [points_mm, *(camera.project(points_mm)[0] for camera in cameras)]

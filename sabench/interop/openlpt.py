@@ -96,10 +96,7 @@ def derive_settings(
 
 
 def camera_text(camera: Camera) -> str:
-    """Format a camera file.
-
-    Raises ValueError for a camera that OpenLPT cannot describe; see `unfit`.
-    """
+    """Format a camera file; raises ValueError for a camera that is `unfit`."""
     reason = unfit(camera)
     if reason:
         raise ValueError(f"{camera.name}: {reason}")
@@ -188,10 +185,7 @@ def _rows(matrix: F64) -> str:
 
 
 def write_frame(folder: Path, frame: int, images: F32) -> None:
-    """Write a frame's images (camera, row, column) as 8-bit TIFF files.
-
-    A bright particle's peak is 1.
-    """
+    """Write images (camera, row, column) as 8-bit TIFF; bright particles' peak is 1."""
     for camera, image in enumerate(images):
         path = folder / f"cam{camera}" / f"{frame:05d}.tif"
         path.parent.mkdir(exist_ok=True)
@@ -266,10 +260,7 @@ def read_result(folder: Path, frames: int) -> list[FoundParticles]:
 
 
 def solve(folder: Path, frames: int) -> list[FoundParticles]:
-    """Run OpenLPT on a project folder.
-
-    With fewer frames than `LEAST_FRAMES` it reconstructs without tracking.
-    """
+    """Run OpenLPT on a project folder, without tracking if below `LEAST_FRAMES`."""
     python.run_module(
         "sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames
     )
@@ -298,10 +289,7 @@ def track_files(path: Path) -> list[Path]:
 
 
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
-    """Read all tracks of a result.
-
-    Raises InputError for a missing file of tracks, or a broken one.
-    """
+    """Read all tracks of a result; raises InputError for a missing or broken file."""
     files = track_files(path)
     if not files:
         raise InputError(f"{path}: expected files of tracks, ConvergeTrack/*_*.csv, found none")

@@ -126,10 +126,7 @@ def world_of(grid: Grid) -> ForeignWorld:
 
 
 def orientation_text(camera: Camera, world: ForeignWorld) -> str:
-    """Format a camera's .ori file.
-
-    Raises ValueError for a camera that OpenPTV cannot describe; see `unfit`.
-    """
+    """Format a camera's .ori file; raises ValueError for a camera that is `unfit`."""
     if reason := unfit(camera):
         raise ValueError(f"{camera.name}: {reason}")
     camera = camera.upright()
@@ -195,10 +192,7 @@ def list_media(camera: Camera) -> dict[str, Any]:
 
 
 def write_frame(folder: Path, frame: int, images: F32) -> None:
-    """Write a frame's images (camera, row, column) as an 8-bit TIFF stack.
-
-    A bright particle's peak is 1.
-    """
+    """Write images (camera, row, column), bright peaks 1, as an 8-bit TIFF stack."""
     path = folder / f"frame_{frame:05d}.tif"
     tifffile.imwrite(path, to_8_bits(images), photometric="minisblack")
 

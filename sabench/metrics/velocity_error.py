@@ -194,10 +194,7 @@ def _derivative_figures(
 
 
 def precision_interval(errors: F64) -> F64:
-    """Compute half widths (3,) of intervals that hold 90 % of errors (n, 3).
-
-    Source: thesis, section 2.3.3.
-    """
+    """Compute half widths (3,) of intervals with 90 % of errors (thesis, 2.3.3)."""
     return np.asarray(np.percentile(np.abs(errors), _PRECISION, axis=0))
 
 

@@ -96,10 +96,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Space:
-    """Balls (n,) in space as discs coloured by their size; alone in its panel.
-
-    y points downwards.
-    """
+    """Balls (n,) in space as discs coloured by size, y downwards; alone in its panel."""
 
     label: str
     center: npt.NDArray[np.float64]
@@ -319,10 +316,7 @@ def _space(axes: Any, space: Space) -> None:
 
 
 def _edges(values: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
-    """Compute common bins of all histograms of a panel.
-
-    The outermost thousandth on either side is left out.
-    """
+    """Compute a panel's common bins, without the outermost thousandth on either side."""
     if not values:
         return np.zeros(0)
     every = np.concatenate(values)

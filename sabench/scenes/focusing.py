@@ -23,10 +23,7 @@ _MOST_DEG = 60.0  # of a tilt that follows from a plane: beyond, the camera look
 
 
 def focus(camera: Camera, target: F64, focus_mm: float | None) -> Camera:
-    """Move the image plane so that a point is sharp.
-
-    The point is `focus_mm` or else the target.
-    """
+    """Move the image plane so that `focus_mm`, or else the target, is sharp."""
     distance = focus_mm or apparent_distance_mm(camera, target)
     if not distance > camera.focal_length_mm:
         expected = f"expected more than the focal length {camera.focal_length_mm:g} mm"
@@ -125,10 +122,7 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
 
 
 def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
-    """Draw a wall that is off in place, tilt, thickness and indices.
-
-    It turns about the point of the true one.
-    """
+    """Draw a wall off in place, tilt about the true point, thickness and indices."""
     rng = stream(seed, "nominal wall")
     axes = frame_of_normal(np.asarray(wall.normal))
     along, right, down, fluid = rng.standard_normal(4)

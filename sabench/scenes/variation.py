@@ -75,10 +75,7 @@ class Vary(Table):
 
 
 def check_keys(vary: Vary, values: dict[str, Any]) -> list[tuple[str, str]]:
-    """List faults of the keys that vary: where they are, and sentences.
-
-    Values are the scene's.
-    """
+    """List faults of keys that vary, by the scene's values: places, and sentences."""
     faults = []
     for key in vary.draw:
         where = f"vary.draw.{key}"

@@ -61,18 +61,12 @@ def static_light(background: Background, shape: tuple[int, int], rng: np.random.
 
 
 def flicker(background: Background, rng: np.random.Generator) -> float:
-    """Draw the factor of a frame.
-
-    It is the same for all cameras, since the laser's pulses differ.
-    """
+    """Draw a frame's factor, one for all cameras, since the laser's pulses differ."""
     return max(1.0 + (background.flicker or 0.0) * rng.standard_normal(), 0.0)
 
 
 def _around(middle: F64, radius: float, shape: tuple[int, int]) -> tuple[tuple[slice, slice], F64]:
-    """Cut the window of a radius around a point.
-
-    Also returns the squared distances (row, column) in it.
-    """
+    """Cut the window of a radius around a point; also return squared distances in it."""
     low = np.clip(np.floor(middle - radius), 0, shape).astype(int)
     high = np.clip(np.ceil(middle + radius) + 1, 0, shape).astype(int)
     row, column = (np.arange(a, b) for a, b in zip(low, high, strict=True))

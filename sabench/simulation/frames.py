@@ -152,10 +152,7 @@ class Frames:
         return self.motion is not None and self.motion.chained
 
     def at(self, number: int) -> FrameContent:
-        """Make a frame; tracers inside bubbles and bodies are left out.
-
-        Raises as `Phases`.
-        """
+        """Make a frame, without tracers in bubbles and bodies; raises as `Phases`."""
         bubbles = self._phases.bubbles(number) if self._phases else None
         particles = self.motion.at(number) if self.motion else None
         if self._phases is None or bubbles is None or particles is None:
@@ -231,10 +228,7 @@ def _streak(
 
 
 def light_in_fluid(scene: Scene) -> Scene:
-    """Return a scene with its laser light as it leaves the window.
-
-    Raises as `enter_fluid`.
-    """
+    """Return a scene with its laser light past the window; raises as `enter_fluid`."""
     if scene.world.tracers is None or scene.light.entry is None:
         return scene
     light = enter_fluid(scene.light, np.asarray(scene.volume.center_mm), scene.fluid_index)

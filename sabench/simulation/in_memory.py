@@ -28,10 +28,7 @@ class Shot:
 
 
 def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat") -> Shot:
-    """Simulate one frame of the data set that `generate` would make.
-
-    Raises InputError as `generate`.
-    """
+    """Simulate one frame of the data set that `generate` makes; raises as it does."""
     rig = build_rig(scene, scene.title)
     return _simulate_frame(Frames(scene, rig, seed, choose_renderer(backend)), frame)
 

@@ -259,10 +259,7 @@ class ShardJob:
         return scene.frames, cameras, scene.cameras.rows, scene.cameras.columns
 
     def write(self, root: Path) -> None:
-        """Write it to the folder of its shards.
-
-        Raises InputError if shards of something else are there.
-        """
+        """Write it to its shards' folder; raises InputError if it holds other shards."""
         (root / "data").mkdir(parents=True, exist_ok=True)
         if changes := self.changes(root):
             raise InputError(

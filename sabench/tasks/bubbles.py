@@ -203,10 +203,7 @@ class BubblesTask(FrameByFrame):
         )
 
     def score(self, data: Dataset, source: Source) -> Figures:
-        """Average the scores of the frames.
-
-        The scores of a jet and of trajectories come from all frames together.
-        """
+        """Average the frames' scores; those of jets and trajectories are of all frames."""
         frames, estimates, every = [], [], []
         for frame in progress_bar(self.frames(data), "score"):
             estimate, true = self.read(data, source, frame), data.bubbles(frame)
@@ -265,10 +262,7 @@ def trajectories(setup: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
 
 
 def _jet_scores(data: Dataset, every: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:
-    """Score a jet's figures against the same analysis of the true bubbles.
-
-    None for a scene without a jet.
-    """
+    """Score a jet's figures against those of the true bubbles; None without a jet."""
     if jet_of(data.scene) is None:
         return dict.fromkeys(JET)
     estimate, true = (jet_figures(data.scene, bubbles) for bubbles in (every, truth))

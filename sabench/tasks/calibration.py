@@ -252,10 +252,7 @@ def _refuse_failures(source: Source) -> Iterator[None]:
 def check_calibration(
     answer: Calibration, source: str, case: CalibrationCase | Observation
 ) -> None:
-    """Raise an InputError for a calibration that does not fit its case.
-
-    `source` opens the sentence.
-    """
+    """Raise an InputError, opened by `source`, for a calibration unfit for its case."""
     names = [camera.name for camera in answer.cameras]
     expected = [camera.name for camera in case.cameras]
     if names != expected:
@@ -299,10 +296,7 @@ def _shift(camera: Camera, number: int) -> Camera:
 
 
 def _particles(data: Dataset) -> tuple[F64, F64]:
-    """Select true particles (n, 3) and their exact pixels (camera, n, 2).
-
-    Pixels are NaN outside the images.
-    """
+    """Select true particles (n, 3) and exact pixels (camera, n, 2), NaN outside."""
     truth_mm = data.particles(0).position_mm
     order = stream(data.manifest.seed, "held out").permutation(len(truth_mm))
     truth_mm = truth_mm[order[:_PARTICLES]]

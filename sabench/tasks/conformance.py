@@ -338,10 +338,7 @@ class Warmed:
 
 
 def warm_up(solvers: Sequence[str] = ()) -> Iterator[Warmed]:
-    """Compile the kernels of some solvers, or of all.
-
-    Raises InputError for an unknown solver.
-    """
+    """Compile the kernels of some solvers, or all; InputError for an unknown solver."""
     from sabench.utils.compiled import compile_s  # numba takes half a second to import
 
     names = solvers or plugins.names("solvers")

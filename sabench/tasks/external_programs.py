@@ -47,10 +47,7 @@ def solver_name(solver: str) -> str:
 
 
 def find_program(name: str, folder: Path = Path()) -> Path:
-    """Find the absolute path of an executable file.
-
-    A relative name is looked for in `folder`.
-    """
+    """Find the absolute path of an executable file; relative names are in `folder`."""
     path = (folder / name).absolute()
     if not is_file(path):
         raise InputError(f"program {name}: expected an executable file, found none at {path}")

@@ -172,10 +172,7 @@ class ParticlesTask(Task):
         return FoundParticles(np.concatenate([moved, ghosts]), None, numbers)
 
     def score(self, data: Dataset, source: Source) -> Figures:
-        """Average the scores of the frames.
-
-        The scores of trajectories come from all frames together.
-        """
+        """Average the frames' scores; those of trajectories come from all frames."""
         truth = [data.particles(frame) for frame in self.frames(data)]
         estimates = self._all(data, source, truth)
         pairs = list(zip(estimates, truth, strict=True))

@@ -101,10 +101,7 @@ def _code(data: Dataset, frame: int) -> Code:
 
 
 def _brighten(grid: Grid, volume: F32, code: Code, light: float) -> F32:
-    """Add light to the voxels of a volume (z, y, x) where the code is bright.
-
-    Returns the volume.
-    """
+    """Add light to a volume's voxels (z, y, x) where the code is bright; return it."""
     points = code.points_mm[~code.dark].reshape(-1, 3)
     voxels = np.rint(grid.to_voxels(points)).astype(np.int64)
     x, y, z = voxels[((voxels >= 0) & (voxels < grid.shape[::-1])).all(axis=1)].T
@@ -113,10 +110,7 @@ def _brighten(grid: Grid, volume: F32, code: Code, light: float) -> F32:
 
 
 def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
-    """Cut the plane (y, x) nearest to the code's middle out of a volume.
-
-    It is limited to the code.
-    """
+    """Cut a volume's plane (y, x) nearest to the code's middle, limited to the code."""
     voxels, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
     low, high = (
         np.clip(np.rint(end), 0, size - 1).astype(int)

@@ -122,10 +122,7 @@ def _wheel_libraries() -> list[str]:
 
 
 def llvm_version(path: str) -> int:
-    """Read the major version of a libLLVM.
-
-    It is 0 for 15 and older, -1 if the library cannot be loaded.
-    """
+    """Read a libLLVM's major version: 0 for 15 and older, -1 if it cannot be loaded."""
     try:
         library = ctypes.CDLL(path)
     except OSError:

@@ -82,19 +82,13 @@ def _constants(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
 
 
 def find_class(source: SourceFile, name: str) -> Class | None:
-    """Find the class with this string as its attribute `name`.
-
-    Returns None unless there is exactly one.
-    """
+    """Find the only class with this string as its attribute `name`, or None."""
     matches = [cls for cls in source.classes.values() if cls.constants.get("name") == name]
     return matches[0] if len(matches) == 1 else None
 
 
 def constant(source: SourceFile, of: Class, attribute: str) -> str | None:
-    """Read a string attribute of a class or, if inherited, of its bases.
-
-    Returns None if the source is unclear.
-    """
+    """Read a class's or its bases' string attribute; None if the source is unclear."""
     if attribute in of.constants:
         return of.constants[attribute]
     for base in of.bases:

@@ -8,10 +8,7 @@ PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def code_hash(*files: Path) -> str:
-    """Compute the SHA-256 of the sources of sabench and of further files.
-
-    Its page is left out.
-    """
+    """Compute the SHA-256 of sabench's sources, without its page, and further files."""
     whole = hashlib.sha256(_own_hash().encode())
     for file in files:
         whole.update(hashlib.sha256(file.read_bytes()).digest())

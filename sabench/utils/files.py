@@ -184,10 +184,7 @@ def canonical_json(value: Any) -> str:
 
 
 def digest(value: Any) -> str:
-    """Compute the SHA-256 of a value's canonical JSON.
-
-    Equal values have equal digests.
-    """
+    """Compute the SHA-256 of a value's canonical JSON."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 

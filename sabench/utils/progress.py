@@ -51,10 +51,7 @@ def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
 
 @contextlib.contextmanager
 def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar for work that finishes in any order.
-
-    Call the yielded function once per item.
-    """
+    """Show a bar for work in any order; call the yielded function once per item."""
     with _progress(refresh=True) as progress:
         task = progress.add_task(doing, total=total)
         yield lambda: progress.advance(task)

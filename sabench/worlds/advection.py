@@ -127,10 +127,7 @@ def move_particles(
     end_s: float,
     tolerance_mm: float,
 ) -> F64:
-    """Move particles (n, 3) from one time to another.
-
-    Without inertia they move with the fluid.
-    """
+    """Move particles (n, 3) from one time to another, with the fluid but for inertia."""
     if inertia is None:
         return advect(flow, points_mm, start_s, end_s, tolerance_mm)
     moved = np.array(points_mm, dtype=np.float64)

@@ -80,10 +80,7 @@ class Phases:
         return bubbles
 
     def bodies(self, frame: int) -> list[tuple[Solid, Material]]:
-        """Make the bodies of a frame, each at its position.
-
-        Raises InputError: one that reaches out of the tank.
-        """
+        """Make a frame's bodies in place; raises InputError for one outside the tank."""
         out = []
         for number, (generator, body) in enumerate(zip(self._solids, self._bodies, strict=True)):
             pose = pose_of(generator.parameters, self.scene.time_s(frame))

@@ -29,10 +29,7 @@ def pose_target(scene: Scene, seed: int) -> Placed:
 
 
 def exact_pixels(camera: Camera, points_mm: F64) -> F64:
-    """Project points (frame, point, 3) to true pixels (frame, point, 2).
-
-    NaN outside the image.
-    """
+    """Project points (frame, point, 3) to pixels (frame, point, 2); NaN outside."""
     pixels, valid = camera.project(points_mm.reshape(-1, 3))
     pixels[~(valid & camera.contains(pixels))] = np.nan
     return pixels.reshape(*points_mm.shape[:2], 2)

@@ -97,10 +97,7 @@ def _bodies_flow(text: str, seed: int) -> BodyFlow:
 
 
 def require_flow(scene: Scene, seed: int = 0) -> Flow:
-    """Make the flow of a scene that has one.
-
-    Raises InputError: a scene without a flow.
-    """
+    """Make the flow of a scene; raises InputError for one without a flow."""
     if (flow := flow_of(scene, seed)) is None:
         raise InputError(f"{scene.title}: flow: expected a scene with a flow, got none")
     return flow

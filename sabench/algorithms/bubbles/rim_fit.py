@@ -116,14 +116,10 @@ def box_of(ellipse: Any, shape: Any, blur: float) -> Any:
     determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]
     width, height = np.sqrt(ellipse[4] / determinant), np.sqrt(ellipse[2] / determinant)
     margin = REACH * blur + _MARGIN
-    top, bottom = (
-        int(max(np.floor(ellipse[1] - height - margin), 0)),
-        int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0])),
-    )
-    left, right = (
-        int(max(np.floor(ellipse[0] - width - margin), 0)),
-        int(min(np.ceil(ellipse[0] + width + margin) + 1, shape[1])),
-    )
+    top = int(max(np.floor(ellipse[1] - height - margin), 0))
+    bottom = int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0]))
+    left = int(max(np.floor(ellipse[0] - width - margin), 0))
+    right = int(min(np.ceil(ellipse[0] + width + margin) + 1, shape[1]))
     return top, bottom, left, right, determinant**-0.25
 
 
@@ -266,7 +262,7 @@ def _normal_equations(
     ellipses = images_of(linear, np.vstack([parameters, parameters + _STEP * np.eye(7)]))
     normal, slope = np.zeros((len(parameters), len(parameters))), np.zeros(len(parameters))
     table, blur_px = model.profile.table, model.profile.blur_px
-    value = _normal(model.images, model.logs, ellipses, table, blur_px, _STEP, normal, slope)
+    value = _normal(model.images, model.logs, ellipses, table, blur_px, normal, slope)
     weight = _PRIOR**2
     value += float(np.sum(weight * parameters**2))
     return value, normal + np.diag(weight), slope + weight * parameters
@@ -280,9 +276,8 @@ def _darken(logs: Any, ellipses: Any, table: Any, blur: float, sign: Any) -> Non
         top, bottom, left, right, middle = box_of(ellipses[k], logs.shape[1:], blur)
         for row in range(top, bottom):
             for column in range(left, right):
-                logs[k, row, column] += sign * np.float32(
-                    np.log(max(shade_at(ellipses[k], column, row, middle, table, blur), DIM))
-                )
+                shade = max(shade_at(ellipses[k], column, row, middle, table, blur), DIM)
+                logs[k, row, column] += sign * np.float32(np.log(shade))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -327,24 +322,15 @@ def _squares(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, out
         total = 0.0
         for row in range(top, bottom):
             for column in range(left, right):
-                here = np.exp(logs[k, row, column]) * max(
-                    shade_at(ellipses[k], column, row, middle, table, blur), DIM
-                )
-                total += (images[k, row, column] - here) ** 2
+                shade = max(shade_at(ellipses[k], column, row, middle, table, blur), DIM)
+                total += (images[k, row, column] - np.exp(logs[k, row, column]) * shade) ** 2
         if bottom > top and right > left:
             out[k] = total / ((bottom - top) * (right - left))
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _normal(
-    images: Any,
-    logs: Any,
-    ellipses: Any,
-    table: Any,
-    blur: float,
-    step: float,
-    normal: Any,
-    slope: Any,
+    images: Any, logs: Any, ellipses: Any, table: Any, blur: float, normal: Any, slope: Any
 ) -> Any:
     """Sum Geman and McClure's function of the residuals, and its normal equations."""
     count = len(slope)
@@ -355,7 +341,7 @@ def _normal(
             continue
         for i in range(count):
             for j in range(5):
-                moves[i, j] = (ellipses[k, i + 1, j] - ellipses[k, 0, j]) / step
+                moves[i, j] = (ellipses[k, i + 1, j] - ellipses[k, 0, j]) / _STEP
         top, bottom, left, right, middle = box_of(ellipses[k, 0], logs.shape[1:], blur)
         for row in range(top, bottom):
             for column in range(left, right):

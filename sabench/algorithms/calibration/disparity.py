@@ -12,12 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.particles.matching import follow_lines, move_to_pixel
-from sabench.geometry.volume_polynomials import (
-    VolumePolynomials,
-    project_point,
-    project_points,
-)
+from sabench.algorithms.particles.matching import follow_lines, is_among, move_to_pixel
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
@@ -159,11 +155,8 @@ def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
     for c in range(cameras):
         for a in range(2):
             for p in range(3):
-                sum_ = (
-                    cross[p, 0] * slopes[c, a, 0]
-                    + cross[p, 1] * slopes[c, a, 1]
-                    + cross[p, 2] * slopes[c, a, 2]
-                )
+                s = slopes[c, a]
+                sum_ = cross[p, 0] * s[0] + cross[p, 1] * s[1] + cross[p, 2] * s[2]
                 gains[c, a, p] = sum_ / determinant
     return True
 
@@ -210,9 +203,11 @@ def match_peaks(
     """
     cameras = len(peaks)
     count: Any = np.int64(0)  # for a literal 0, all that takes it would be compiled once more
-    position, here, slope, step = np.zeros(3), np.zeros(2), np.zeros((2, 3)), np.zeros(3)
+    position, here, slope = np.zeros(3), np.zeros(2), np.zeros((2, 3))
+    chosen = np.zeros(cameras, dtype=np.int64)
     slopes, gains = np.zeros((cameras, 2, 3)), np.zeros((cameras, 2, 3))
-    misses, chosen = np.zeros((cameras, 2)), np.zeros(cameras, dtype=np.int64)
+    work = slopes, np.zeros((cameras, 2)), gains, np.zeros(3)
+    sets = positions, hits, errors
     second, tried = np.zeros(_NEAR, dtype=np.int64), np.zeros(_NEAR, dtype=np.int64)
     for first in order:
         if count == len(positions):
@@ -227,51 +222,20 @@ def match_peaks(
             project_point(maps, 1, position, here, slope)
             for k in range(find_near(peaks[1], here, radius, second)):
                 chosen[1] = second[k]
-                if _is_among(tried[: min(left, _NEAR)], second[k]):
+                if is_among(tried, min(left, _NEAR), second[k]):
                     continue
                 tried[left % _NEAR] = second[k]
                 left += 1
                 start = position.copy()
-                if _intersect(maps, peaks, chosen, start, slopes, misses, gains, here, step):
-                    count = _others(
-                        maps,
-                        peaks,
-                        radius,
-                        chosen,
-                        start,
-                        slopes,
-                        misses,
-                        gains,
-                        step,
-                        positions,
-                        hits,
-                        errors,
-                        count,
-                    )
+                if _intersect(maps, peaks, chosen, start, work, here):
+                    count = _others(maps, peaks, radius, chosen, start, work, sets, count)
     return int(count)
 
 
 @numba.njit(cache=True)
-def _is_among(numbers: Any, number: int) -> bool:
-    among = False
-    for other in numbers:
-        among |= other == number
-    return among
-
-
-@numba.njit(cache=True)
-def _intersect(
-    maps: Any,
-    peaks: Any,
-    chosen: Any,
-    position: Any,
-    slopes: Any,
-    misses: Any,
-    gains: Any,
-    here: Any,
-    step: Any,
-) -> bool:
+def _intersect(maps: Any, peaks: Any, chosen: Any, position: Any, work: Any, here: Any) -> bool:
     """Move a point nearest to two lines of sight; False outside the box."""
+    slopes, misses, gains, step = work
     for _ in range(2):
         for c in range(2):
             project_point(maps, c, position, here, slopes[c])
@@ -287,21 +251,10 @@ def _intersect(
 
 @numba.njit(cache=True)
 def _others(
-    maps: Any,
-    peaks: Any,
-    radius: float,
-    chosen: Any,
-    start: Any,
-    slopes: Any,
-    misses: Any,
-    gains: Any,
-    step: Any,
-    positions: Any,
-    hits: Any,
-    errors: Any,
-    count: int,
+    maps: Any, peaks: Any, radius: float, chosen: Any, start: Any, work: Any, sets: Any, count: int
 ) -> int:
     """Try all images of the other cameras near a position; return the number of sets."""
+    (slopes, misses, gains, step), (positions, hits, errors) = work, sets
     cameras = len(peaks)
     projected, nearby = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
     numbers = np.ones(2, dtype=np.int64)
@@ -328,12 +281,10 @@ def _others(
             for c in range(cameras):
                 hits[count, c] = chosen[c]
                 for a in range(2):
-                    bend = (
-                        slopes[c, a, 0] * step[0]
-                        + slopes[c, a, 1] * step[1]
-                        + slopes[c, a, 2] * step[2]
+                    s = slopes[c, a]
+                    errors[count, c, a] = misses[c, a] - (
+                        s[0] * step[0] + s[1] * step[1] + s[2] * step[2]
                     )
-                    errors[count, c, a] = misses[c, a] - bend
             count += 1
     return count
 
@@ -345,12 +296,8 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
     for c in range(cameras):
         square = 0.0
         for a in range(2):
-            off = (
-                misses[c, a]
-                - slopes[c, a, 0] * step[0]
-                - slopes[c, a, 1] * step[1]
-                - slopes[c, a, 2] * step[2]
-            )
+            s = slopes[c, a]
+            off = misses[c, a] - s[0] * step[0] - s[1] * step[1] - s[2] * step[2]
             square += off * off
         worst = max(worst, square)
     return worst

@@ -61,9 +61,8 @@ def _leave(
     stretch = 0.0  # sum of depth / sqrt(n^2 - p^2) = radius / p
     for i in range(len(indices)):
         n = indices[i]
-        cosine = math.sqrt(
-            (n * n + (n * n - rarest * rarest) * slope * slope) / (1.0 + slope * slope)
-        )
+        square = (n * n + (n * n - rarest * rarest) * slope * slope) / (1.0 + slope * slope)
+        cosine = math.sqrt(square)
         stretch += depths[i] / cosine
         gain += depths[i] * n * n / (cosine * cosine * cosine)
         by_depth[i] = 1.0 / cosine
@@ -75,9 +74,8 @@ def _leave(
     for i in range(len(indices)):
         by_depth[i] *= -turning / stretch
         by_index[i] *= turning / stretch
-    by_index[0] -= (
-        n * first * first * first / stretch
-    )  # the cameras' own index also turns p into another tangent
+    # the cameras' own index also turns p into another tangent
+    by_index[0] -= n * first * first * first / stretch
     curved = (turning - tangent) / (radius * radius) if radius > 0.0 else 0.0
     return tangent, curved
 
@@ -213,14 +211,10 @@ def _fill(
     (u, v, w), (x, y, tangent, curved) = view, swing
     by_depth, by_index = work[1], work[2]
     third = -(first * u + second * v)  # by the camera frame's z; its vector is (u, v, 1) w
-    row[0], row[1], row[2] = (
-        w * (third * v - second),
-        w * (first - third * u),
-        w * (second * u - first * v),
-    )
-    left = (
-        first * rotation[0, 0] + second * rotation[1, 0] + third * rotation[2, 0]
-    )  # by the lateral parts of the direction of light
+    row[0], row[1] = w * (third * v - second), w * (first - third * u)
+    row[2] = w * (second * u - first * v)
+    # by the lateral parts of the direction of light
+    left = first * rotation[0, 0] + second * rotation[1, 0] + third * rotation[2, 0]
     down = first * rotation[0, 1] + second * rotation[1, 1] + third * rotation[2, 1]
     along = left * x + down * y
     by_x, by_y = tangent * left + along * curved * x, tangent * down + along * curved * y

@@ -12,24 +12,25 @@ from sabench.utils.compiled import numba
 @numba.njit(cache=True)
 def _rotate(rotation: Any, point: Any, lever: Any) -> None:
     for axis in range(3):
-        lever[axis] = (
-            rotation[axis, 0] * point[0]
-            + rotation[axis, 1] * point[1]
-            + rotation[axis, 2] * point[2]
-        )
+        row = rotation[axis]
+        lever[axis] = row[0] * point[0] + row[1] * point[1] + row[2] * point[2]
 
 
 @numba.njit(cache=True)
 def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
     """Fill in derivatives by the bend, which lifts a point along the normal."""
     for i in range(2):
-        along = (
-            row[i, CAMERA + 3] * rotation[0, 2]
-            + row[i, CAMERA + 4] * rotation[1, 2]
-            + row[i, CAMERA + 5] * rotation[2, 2]
-        )
+        move = row[i, CAMERA + 3 : CAMERA + 6]
+        along = move[0] * rotation[0, 2] + move[1] * rotation[1, 2] + move[2] * rotation[2, 2]
         for j in range(BEND):
             row[i, start + j] = along * lift[j]
+
+
+@numba.njit(cache=True)
+def _scratch(media: int) -> Any:
+    """Make `observe`'s row and work arrays, and a lever."""
+    row = np.zeros((2, CAMERA + BOARD + 2 * media + 1 + BEND))
+    return row, np.zeros((3, media)), np.zeros(3)
 
 
 @numba.njit(cache=True)
@@ -74,17 +75,9 @@ def equations(array: Any, boards: Any, views: Any, free: Any, scale: float) -> A
     cameras, count, dots = weights.shape
     f, s, m = len(camera_columns), len(shared), len(media[0])
     size, local = cameras * f + s, f + s + BOARD
-    aa, ab, bb = (
-        np.zeros((size, size)),
-        np.zeros((count, size, BOARD)),
-        np.zeros((count, BOARD, BOARD)),
-    )
-    a, d = np.zeros(size), np.zeros((count, BOARD))
-    row, work, lever = (
-        np.zeros((2, CAMERA + BOARD + 2 * m + 1 + BEND)),
-        np.zeros((3, m)),
-        np.zeros(3),
-    )
+    aa, ab = np.zeros((size, size)), np.zeros((count, size, BOARD))
+    bb, a, d = np.zeros((count, BOARD, BOARD)), np.zeros(size), np.zeros((count, BOARD))
+    row, work, lever = _scratch(m)
     pick = _columns(camera_columns, shared)
     part, slope, chosen = np.zeros((local, local)), np.zeros(local), np.zeros((2, local))
     cost = 0.0
@@ -116,26 +109,14 @@ def equations(array: Any, boards: Any, views: Any, free: Any, scale: float) -> A
                     slope[p] += gu * eu + gv * ev
                     for q in range(p + 1):
                         part[p, q] += gu * chosen[0, q] + gv * chosen[1, q]
-            _scatter(part, slope, c, k, f, s, cameras, aa, ab, bb, a, d)
+            _scatter(part, slope, c, k, (f, s, cameras), (aa, ab, bb, a, d))
     return cost, aa, ab, bb, a, d
 
 
 @numba.njit(cache=True)
-def _scatter(
-    part: Any,
-    slope: Any,
-    c: int,
-    k: int,
-    f: int,
-    s: int,
-    cameras: int,
-    aa: Any,
-    ab: Any,
-    bb: Any,
-    a: Any,
-    d: Any,
-) -> None:
+def _scatter(part: Any, slope: Any, c: int, k: int, counts: Any, sums: Any) -> None:
     """Add the lower triangle of one camera's and one board's equations."""
+    (f, s, cameras), (aa, ab, bb, a, d) = counts, sums
     for p in range(f + s):
         here = c * f + p if p < f else cameras * f + p - f
         a[here] += slope[p]
@@ -156,12 +137,8 @@ def misses(array: Any, boards: Any, views: Any) -> Any:
     rotations, centers, lenses, media = array
     board_rotations, positions, points, _ = boards
     pixels, _ = views
-    out, m = np.full(pixels.shape, math.nan), len(media[0])
-    row, work, lever = (
-        np.zeros((2, CAMERA + BOARD + 2 * m + 1 + BEND)),
-        np.zeros((3, m)),
-        np.zeros(3),
-    )
+    out = np.full(pixels.shape, math.nan)
+    row, work, lever = _scratch(len(media[0]))
     for c in range(pixels.shape[0]):
         for k in range(pixels.shape[1]):
             for i in range(pixels.shape[2]):
@@ -170,10 +147,8 @@ def misses(array: Any, boards: Any, views: Any) -> Any:
                     rotations[c], centers[c], lenses[c], media, lever, positions[k], row, work
                 )
                 if ok:
-                    out[c, k, i, 0], out[c, k, i, 1] = (
-                        pixels[c, k, i, 0] - u,
-                        pixels[c, k, i, 1] - v,
-                    )
+                    out[c, k, i, 0] = pixels[c, k, i, 0] - u
+                    out[c, k, i, 1] = pixels[c, k, i, 1] - v
     return out
 
 
@@ -187,27 +162,15 @@ def spreads(array: Any, boards: Any, views: Any, free: Any, covariance: Any) -> 
     cameras, count, dots = weights.shape
     f, s, m = len(camera_columns), len(shared), len(media[0])
     local, base = f + s + BOARD, cameras * f + s
-    row, work, lever = (
-        np.zeros((2, CAMERA + BOARD + 2 * m + 1 + BEND)),
-        np.zeros((3, m)),
-        np.zeros(3),
-    )
+    row, work, lever = _scratch(m)
     out = np.full((cameras, count, dots, 3), math.nan)
-    part, pick, index = (
-        np.zeros((local, local)),
-        _columns(camera_columns, shared),
-        np.empty(local, dtype=np.int64),
-    )
+    part, pick = np.zeros((local, local)), _columns(camera_columns, shared)
+    index = np.empty(local, dtype=np.int64)
     for c in range(cameras):
         for k in range(count):
             for p in range(local):
-                index[p] = (
-                    c * f + p
-                    if p < f
-                    else cameras * f + p - f
-                    if p < f + s
-                    else base + k * BOARD + p - f - s
-                )
+                shift = cameras * f - f if p < f + s else base + k * BOARD - f - s
+                index[p] = p + (c * f if p < f else shift)
             for p in range(local):
                 for q in range(local):
                     part[p, q] = covariance[index[p], index[q]]

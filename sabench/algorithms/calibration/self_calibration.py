@@ -94,10 +94,8 @@ class Tracking:
                     f"{pinholes[number].name}: expected particle images, got none above "
                     f"{bright:g} of a bright one's peak"
                 )
-        low = np.asarray(case.grid.low_mm)
-        high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)
         cameras = tuple(pinholes[number] for number in order)
-        maps = fit_volume_polynomials(cameras, low, high)
+        maps = fit_volume_polynomials(cameras, *case.grid.centers_mm())
         axes = rig_axes(maps)
         return cls(cameras, tuple(order), peaks, turn_maps(maps, axes), axes)
 

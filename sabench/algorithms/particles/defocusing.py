@@ -160,10 +160,8 @@ def match_triangles(
     sets = [matching.PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
     if all(map(len, images)):
         for hit in _triples(apertures, images, apertures.sizes(grid), reach_px):
-            triangles = np.stack(
-                [image[numbers] for image, numbers in zip(images, hit.T, strict=True)], axis=1
-            )
-            position, off = apertures.locate(triangles)
+            triangles = [image[numbers] for image, numbers in zip(images, hit.T, strict=True)]
+            position, off = apertures.locate(np.stack(triangles, axis=1))
             voxels = grid.to_voxels(position)
             last = np.asarray(grid.shape[::-1]) - 1.0
             inside = ((voxels >= -matching.MARGIN) & (voxels <= last + matching.MARGIN)).all(axis=1)
@@ -207,7 +205,4 @@ def _sides(corners: F64) -> F64:
 
 def _corners(grid: Grid) -> F64:
     """List the corners (8, 3) of a grid with its margin, mm."""
-    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
-    high = low + voxel * (np.asarray(grid.shape[::-1]) - 1)
-    ends = low - matching.MARGIN * voxel, high + matching.MARGIN * voxel
-    return np.array(list(itertools.product(*np.transpose(ends))))
+    return np.array(list(itertools.product(*np.transpose(grid.centers_mm(matching.MARGIN)))))

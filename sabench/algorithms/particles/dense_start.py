@@ -135,7 +135,7 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
     real = np.flatnonzero(np.bincount(np.concatenate(number)) >= CONFIRMED)
     values = ((*frame[1:], *moves) for frame, moves in zip(frames, flow, strict=True))
     position, variance, light, velocity, spread = (
-        _table(real, number, each) for each in zip(*values, strict=True)
+        kalman_tracks.values_of_tracks(real, number, each) for each in zip(*values, strict=True)
     )
     expected = np.nanmean(velocity, axis=1), np.nanmean(spread, axis=1)
     typical = np.nanmedian(light, axis=1)
@@ -149,15 +149,6 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
         good = np.median(np.sqrt(errors[:, :, 0, 0]) / usual, axis=1) < _KNOWN
         confirmed.append(Known(state[good, 0], typical[good]))
     return confirmed
-
-
-def _table(real: I64, number: Sequence[I64], values: Sequence[F64]) -> F64:
-    """Collect values (n, k) of tracks (m,): (m, frame, k), NaN for nothing."""
-    table = np.full((len(real), len(number), values[0].shape[1]), np.nan)
-    for slot, (numbers, rows) in enumerate(zip(number, values, strict=True)):
-        _, i, j = np.intersect1d(real, numbers, return_indices=True)
-        table[i, slot] = rows[j]
-    return table
 
 
 def _number_tracks(

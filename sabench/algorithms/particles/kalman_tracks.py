@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sabench.algorithms.particles.linking import ENOUGH, NEIGHBOURS, assign
-from sabench.algorithms.particles.particle_search import joined, no_particles
+from sabench.algorithms.particles.particle_search import joined
 from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, FROM_MAD, I64, Bool
 
@@ -99,9 +99,8 @@ class KalmanTracks:
     ) -> tuple[I64, I64]:
         """Pair tracks (rows) with positions, one to one, by misses.
 
-        The square sum of a pair's misses is below `most`.
-
-        Each track has the `few` nearest positions as candidates.
+        The square sum of a pair's misses is below `most`. Each track has the `few` nearest
+        positions as candidates.
         """
         count = min(few, len(position))
         if not count or not len(rows):
@@ -151,11 +150,9 @@ class KalmanTracks:
         spread: F64,
         sightings: int,
     ) -> None:
-        """Begin tracks at positions (n, 3), mm, with velocities, mm/s, and variances.
+        """Begin tracks that have so many positions.
 
-        Both positions and velocities have variances.
-
-        `sightings` is how many positions they have.
+        Positions (n, 3), mm, and velocities, mm/s, have variances, the latter `spread`.
         """
         count = len(number)
         state = np.stack([position, velocity, np.zeros((count, 3))], axis=1)
@@ -289,13 +286,6 @@ class TrackedFrame:
         self.detected = self.detected[remaining]
 
 
-def no_frame(time: float, cameras: int) -> TrackedFrame:
-    """Return a frame without particles."""
-    return TrackedFrame(
-        time, no_particles(cameras), np.zeros(0, dtype=np.int64), np.zeros(0, np.bool_)
-    )
-
-
 def with_motion(
     frames: Sequence[TrackedFrame], frame: TrackedFrame, motion: tuple[float, float] | None
 ) -> FoundParticles:
@@ -304,12 +294,14 @@ def with_motion(
     if motion is None or not len(frame.number):
         return particles
     times = np.array([other.time - frame.time for other in frames])
-    positions = _positions(frames, frame.number)
-    moving = np.isfinite(positions[0][:, :, 0]).sum(axis=1) > 1
+    seen = [(f.number[f.detected], f.position[f.detected], f.variance[f.detected]) for f in frames]
+    numbers, *values = zip(*seen, strict=True)
+    position, variance = (values_of_tracks(frame.number, numbers, each) for each in values)
+    moving = np.isfinite(position[:, :, 0]).sum(axis=1) > 1
     still = np.zeros_like(frame.position), np.full_like(frame.position, ANY_SPEED**2)
-    state, _ = most_probable_motion(times, *positions, *still, *motion)
+    state, _ = most_probable_motion(times, position, variance, *still, *motion)
     expected = velocity_near(frame.position, frame.position[moving], state[moving, 1])
-    state, covariance = most_probable_motion(times, *positions, *expected, *motion)
+    state, covariance = most_probable_motion(times, position, variance, *expected, *motion)
     shown = frame.detected[:, None]
     place = np.where(shown, frame.position, state[:, 0])
     error = np.where(shown[:, None], np.asarray(particles.covariance_mm2), _diagonal(covariance, 0))
@@ -324,14 +316,13 @@ def with_motion(
     )
 
 
-def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:
-    """Collect positions, and variances (n, frame, 3), NaN where not seen."""
-    position, variance = (np.full((len(number), len(frames), 3), np.nan) for _ in range(2))
-    for slot, frame in enumerate(frames):
-        _, i, j = np.intersect1d(number, frame.number[frame.detected], return_indices=True)
-        position[i, slot] = frame.position[frame.detected][j]
-        variance[i, slot] = frame.variance[frame.detected][j]
-    return position, variance
+def values_of_tracks(tracks: I64, number: Sequence[I64], values: Sequence[F64]) -> F64:
+    """Collect values (n, k) of tracks (m,): (m, frame, k), NaN for nothing."""
+    table = np.full((len(tracks), len(number), values[0].shape[1]), np.nan)
+    for slot, (numbers, rows) in enumerate(zip(number, values, strict=True)):
+        _, i, j = np.intersect1d(tracks, numbers, return_indices=True)
+        table[i, slot] = rows[j]
+    return table
 
 
 def _diagonal(covariance: F64, order: int) -> F64:

@@ -51,10 +51,7 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Trajectories(_Points):
-    """Trajectories that may continue: last detections, numbers, velocities (n, 3).
-
-    Velocities of new ones are NaN.
-    """
+    """Trajectories that may continue; velocities (n, 3) of new ones are NaN."""
 
     number: I64
     velocity: F64
@@ -70,10 +67,7 @@ class _Trajectories(_Points):
 
 @dataclass(frozen=True)
 class _Scale:
-    """Distance between neighbours, and standard errors.
-
-    The errors are those of predictions and of logarithms of radii.
-    """
+    """Distance between neighbours, and errors of predictions and logarithms of radii."""
 
     spacing: float
     position: F64
@@ -102,16 +96,15 @@ def link(
     none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     live = _Trajectories(nowhere, np.zeros(0), np.zeros(0), none, none, nowhere)
     born, out = 0, []
-    for frame, (position, radius, time) in enumerate(
-        zip(center_mm, radius_mm, times_s, strict=True)
-    ):
+    detections = zip(center_mm, radius_mm, times_s, strict=True)
+    for frame, (position, radius, time) in enumerate(detections):
         count = len(position)
         points = _Points(position, np.log(radius), np.full(count, time), np.full(count, frame))
         live = live[frame - live.frame <= gap + 1]
         pairs = _candidates(live, points, time, frame, scale)
         i, j = assign(*pairs, (len(live.position), count))
         scale = _estimate_scale(scale, live[i], points, j)
-        number = np.full(len(position), -1)
+        number = np.full(count, -1)
         number[j] = live.number[i]
         new = np.flatnonzero(number < 0)
         number[new] = born + np.arange(len(new))
@@ -137,18 +130,14 @@ def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I6
     weights = 1.0 + np.concatenate([cost, np.full(rows, GATE)])  # zero would be no edge
     if not rows:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    i, j = min_weight_full_bipartite_matching(
-        coo_array((weights, edges), shape=(rows, columns + rows)).tocsr()
-    )
+    costs = coo_array((weights, edges), shape=(rows, columns + rows))
+    i, j = min_weight_full_bipartite_matching(costs.tocsr())
     linked = j < columns
     return i[linked].astype(np.int64), j[linked].astype(np.int64)
 
 
 def _spacing(center_mm: Sequence[F64]) -> float:
-    """Compute the median distance of nearest neighbours.
-
-    Without neighbours, it is more than the whole extent.
-    """
+    """Compute the median distance of neighbours; without any, more than the extent."""
     several = [positions for positions in center_mm if len(positions) > 1]
     near = [cKDTree(positions).query(positions, 2)[0][:, 1] for positions in several]
     spacing = float(np.median(np.concatenate(near))) if near else 0.0
@@ -251,10 +240,7 @@ def _position_errors(
 
 
 def _near(starts: F64, targets: F64, radii: F64) -> tuple[I64, I64]:
-    """Find pairs of rows within the first ones' radii.
-
-    Each has at most the `_MOST` nearest.
-    """
+    """Find pairs of rows within the first ones' radii, at most the `_MOST` nearest."""
     if not len(starts) or not len(targets):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     count = min(_MOST, len(targets))

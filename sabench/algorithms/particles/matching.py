@@ -62,10 +62,7 @@ class PeakParameters(Parameters):
 def detect_in_cameras(
     case: Observation, floor: float, false_alarms: float = FALSE_ALARMS
 ) -> tuple[Peaks, ...]:
-    """Detect peaks of particle images in each camera.
-
-    Thresholds are as in `PeakParameters`.
-    """
+    """Detect peaks of particle images in each camera by `PeakParameters`."""
     good, black, peaks = case.repaired, case.black_dn, []
     for grey, unknown in zip(good.images, good.flaws.unknown, strict=True):
         least = black + floor * bright_dn(grey, black, unknown)
@@ -113,9 +110,7 @@ class TriangulationSettings:
 
 def fit_cameras(case: Observation) -> VolumePolynomials:
     """Fit the cameras by polynomials over the grid and a margin."""
-    low, voxel = np.asarray(case.grid.low_mm), np.asarray(case.grid.voxel_mm)
-    high = low + voxel * (np.asarray(case.grid.shape[::-1]) - 1)
-    return fit_volume_polynomials(case.cameras, low - MARGIN * voxel, high + MARGIN * voxel)
+    return fit_volume_polynomials(case.cameras, *case.grid.centers_mm(MARGIN))
 
 
 def triangulate_particles(
@@ -244,10 +239,7 @@ def _empty(count: int, cameras: int) -> PeakSets:
 def count_by_chance(
     maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float, pixels: int
 ) -> float:
-    """Estimate how many chance sets contain a peak of the first camera.
-
-    Peaks of the others are assumed to be uniform.
-    """
+    """Estimate how many sets contain a first camera's peak if others are uniform."""
     steps = follow_lines(maps, range(1, 2), reach_px)[1]
     density = np.array([len(camera_peaks.pixels) / pixels for camera_peaks in peaks[1:]])
     near = SEARCHED * reach_px
@@ -285,11 +277,8 @@ def _follow(
     """Fill in the candidates of these images of the first camera, and count them."""
     cameras, count = len(peaks), 0
     position, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
-    near, tried, chosen = (
-        np.zeros(_ROOM, dtype=np.int64),
-        np.zeros(512, dtype=np.int64),
-        np.zeros(cameras, dtype=np.int64),
-    )
+    near, tried = np.zeros(_ROOM, dtype=np.int64), np.zeros(512, dtype=np.int64)
+    chosen = np.zeros(cameras, dtype=np.int64)
     for first in order:
         left = 0
         position[:] = 0.0
@@ -300,7 +289,7 @@ def _follow(
                 continue
             project_point(maps, 1, position, here, slope)
             for k in range(find_near(peaks[1], here, SEARCHED * radius, near)):
-                if left == len(tried) or count == len(positions) or _has(tried, left, near[k]):
+                if left == len(tried) or count == len(positions) or is_among(tried, left, near[k]):
                     continue
                 tried[left] = near[k]
                 left += 1
@@ -308,30 +297,27 @@ def _follow(
                 chosen[0], chosen[1] = first, near[k]
                 for i in range(3):
                     start[i] = position[i]
-                worst = _fit_position(maps, peaks, chosen, start)
+                worst, _ = _fit_position(maps, peaks, chosen, start)
                 if (
                     worst > radius
                     or not _within(start, 1.0)
                     or not _others(maps, peaks, chosen, start, radius, covered)
                 ):
                     continue
-                worst = _fit_position(maps, peaks, chosen, start)
+                worst, error = _fit_position(maps, peaks, chosen, start)
                 if worst <= radius and _within(start, 1.0):
                     for i in range(3):
                         positions[count, i] = start[i]
                     for c in range(cameras):
                         hits[count, c] = chosen[c]
-                    errors[count] = _error(maps, peaks, chosen, start)
+                    errors[count] = error
                     count += 1
     return count
 
 
 @numba.njit(cache=True)
-def _has(values: Any, count: int, value: int) -> bool:
-    """Return whether a value is among the first ones.
-
-    This is faster to compile than array expressions.
-    """
+def is_among(values: Any, count: int, value: int) -> bool:
+    """Find a value among the first ones: a loop is faster to compile than arrays."""
     among = False
     for n in range(count):
         among |= values[n] == value
@@ -376,18 +362,20 @@ def _open(covered: Any, pixel: Any) -> bool:
 
 
 @numba.njit(cache=True)
-def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
-    """Fit a position to the chosen images; returns the largest distance left, px."""
-    here, slope, worst = np.zeros(2), np.zeros((2, 3)), 0.0
+def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> tuple[float, float]:
+    """Fit a position to the chosen images; returns largest and RMS distance left, px."""
+    here, slope, worst, total, count = np.zeros(2), np.zeros((2, 3)), 0.0, 0.0, 0
     matrix, right, change = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for step in range(_STEPS + 1):
-        matrix[:], right[:], worst = 0.0, 0.0, 0.0
+        matrix[:], right[:], worst, total, count = 0.0, 0.0, 0.0, 0.0, 0
         for c in range(len(peaks)):
             if chosen[c] < 0:
                 continue
             project_point(maps, c, position, here, slope)
             found = peaks[c].pixels[chosen[c]]
             worst = max(worst, math.hypot(found[0] - here[0], found[1] - here[1]))
+            total += (found[0] - here[0]) ** 2 + (found[1] - here[1]) ** 2
+            count += 1
             for a in range(2):
                 for i in range(3):
                     right[i] += slope[a, i] * (found[a] - here[a])
@@ -398,20 +386,8 @@ def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
         for i in range(3):
             position[i] += change[i]
         if not _within(position, 1.5):
-            return np.inf
-    return worst
-
-
-@numba.njit(cache=True)
-def _error(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
-    here, slope, total, count = np.zeros(2), np.zeros((2, 3)), 0.0, 0
-    for c in range(len(peaks)):
-        if chosen[c] >= 0:
-            project_point(maps, c, position, here, slope)
-            found = peaks[c].pixels[chosen[c]]
-            total += (found[0] - here[0]) ** 2 + (found[1] - here[1]) ** 2
-            count += 1
-    return float(np.sqrt(total / count))
+            return np.inf, np.inf
+    return worst, np.sqrt(total / count)
 
 
 def follow_lines(maps: VolumePolynomials, cameras: range, step_px: float) -> tuple[int, int]:

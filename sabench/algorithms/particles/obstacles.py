@@ -80,10 +80,7 @@ def hide_unseen(
 
 
 def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
-    """Compute the share (camera,) of light expected in dark areas that is seen.
-
-    It is 1 if there are no dark areas.
-    """
+    """Compute the share (camera,) of light expected in dark areas that is seen, or 1."""
     # images of the particles with the mean light of all other cameras
     logs = np.log(search.light / search.typical)
     others = (logs.sum(axis=1, keepdims=True) - logs) / (logs.shape[1] - 1)
@@ -102,9 +99,7 @@ def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
 
 
 def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bool:
-    """Mark areas (camera, row, column) without light where particles are expected.
-
-    Several particles are expected in each area.
+    """Mark areas (camera, row, column) without light where several particles belong.
 
     Each image holds `number` particles, distributed over the pixels as the shares of the volume
     that these show. Pixels that show little of it count only as part of a larger area.
@@ -175,10 +170,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
 
 
 def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
-    """List sets of cameras to try, supersets of those that hide particles.
-
-    Those that hide most come first.
-    """
+    """List sets of cameras to try, supersets of those that hide most particles first."""
     promise: dict[_Cameras, int] = {}
     for smaller, many in before.items():
         for camera in set(range(number)).difference(smaller):
@@ -241,10 +233,7 @@ def without_wrong_cameras(
 
 
 def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
-    """Warn of cameras with images that are longer streaks than the model's.
-
-    Cameras with too few particles are left out.
-    """
+    """Warn of cameras whose images are longer streaks than the model's."""
     if search.number < FEW:
         return
     for camera, tilt in zip(np.flatnonzero(search.shown).tolist(), search.tilt, strict=True):
@@ -286,9 +275,8 @@ def left_of_images(search: ParticleSearch) -> F64:
 
 def _left_where(search: ParticleSearch, counts: Bool) -> F64:
     shares = []
-    for camera, (image, valid, noise) in enumerate(
-        zip(search.images, counts, search.noise, strict=True)
-    ):
+    views = zip(search.images, counts, search.noise, strict=True)
+    for camera, (image, valid, noise) in enumerate(views):
         both = search.miss(camera), image
         rest, whole = (_squares(np.where(valid, values, 0.0), CLEAR * noise) for values in both)
         shares.append(rest / max(whole, rest, 1e-6))

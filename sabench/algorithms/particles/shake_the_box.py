@@ -47,14 +47,13 @@ from sabench.algorithms.particles.kalman_tracks import (
     MATURE,
     KalmanTracks,
     TrackedFrame,
-    no_frame,
     start_tracks,
     with_motion,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
 from sabench.algorithms.particles.linking import ENOUGH, GATE, NEIGHBOURS, link
 from sabench.algorithms.particles.obstacles import hide_unseen
-from sabench.algorithms.particles.particle_search import FLOORS, ParticleSearch
+from sabench.algorithms.particles.particle_search import FLOORS, ParticleSearch, no_particles
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64
@@ -185,7 +184,8 @@ class _Tracker:
         """Link the particles of a frame that was searched to those of the one before."""
         self.tracks, self.doubtful = None, False
         if self.search is None:
-            return no_frame(time, len(self.maps.coefficients))
+            nothing = no_particles(len(self.maps.coefficients))
+            return TrackedFrame(time, nothing, np.zeros(0, np.int64), np.zeros(0, np.bool_))
         frame = self._write(self.search, time)
         if last is not None:
             light = last.light

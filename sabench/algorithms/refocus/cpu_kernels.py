@@ -30,10 +30,7 @@ _LOG2_REST = tuple(_REST.astype(np.float32))
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
-    """Find the voxel where a position enters another pixel.
-
-    The position moves by `step` per voxel.
-    """
+    """Find the voxel where a position, moving by `step`, enters another pixel."""
     room = 1.0 - fraction if step > 0.0 else fraction
     if room >= abs(step) * (count - first):
         return count
@@ -118,10 +115,7 @@ def _interpolate(
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
-    """Fold one camera's samples into a tile.
-
-    Its rows lie TILE_COLUMNS apart in `total`.
-    """
+    """Fold one camera's samples into a tile of rows TILE_COLUMNS apart in `total`."""
     rows, columns = size
     flat, fours = image.ravel(), 0
     if len(spline) == 1 and abs(affine[2]) <= _SHEAR:
@@ -145,21 +139,14 @@ def _fold_four(
     total: Any,
     columns: int,
 ) -> None:
-    """Fold samples into four rows of a tile.
-
-    They share rows of pixels and positions.
-    """
+    """Fold samples into four rows of a tile that share rows of pixels and positions."""
     column_step, row_step = affine[1] - 1.0, affine[4]
     first = 0
     while first < columns:
-        x, y = (
-            affine[0] + affine[2] * row + column_step * first,
-            affine[3] + affine[5] * row + row_step * first,
-        )
-        x_last, y_last = (
-            x + 3.0 * affine[2],
-            y + 3.0 * (affine[5] - 1.0),
-        )  # less the shift of one pixel per row
+        x = affine[0] + affine[2] * row + column_step * first
+        y = affine[3] + affine[5] * row + row_step * first
+        # less the shift of one pixel per row
+        x_last, y_last = x + 3.0 * affine[2], y + 3.0 * (affine[5] - 1.0)
         shift, above = math.floor(x), math.floor(y)
         shift_last, above_last = math.floor(x_last), math.floor(y_last)
         end = min(
@@ -181,29 +168,14 @@ def _fold_four(
             corner = np.uint32(above * image.shape[1] + shift + first)
             start = np.float32(x - shift + 1.5 * affine[2]), np.float32(y - above)
             step = np.float32(column_step), np.float32(row_step), np.float32(affine[5] - 1.0)
-            _interpolate_four(
-                flat,
-                np.uint32(image.shape[1]),
-                corner,
-                start,
-                step,
-                fold,
-                total[row * TILE_COLUMNS + first : (row + 3) * TILE_COLUMNS + end],
-                end - first,
-            )
+            target = total[row * TILE_COLUMNS + first : (row + 3) * TILE_COLUMNS + end]
+            pitch = np.uint32(image.shape[1])
+            _interpolate_four(flat, pitch, corner, start, step, fold, target, end - first)
         else:
             for tile_row in range(row, row + 4):
                 place = tile_row * TILE_COLUMNS
-                _fold_row(
-                    image,
-                    spline,
-                    affine,
-                    tile_row,
-                    first,
-                    outside,
-                    fold,
-                    total[place + first : place + end],
-                )
+                target = total[place + first : place + end]
+                _fold_row(image, spline, affine, tile_row, first, outside, fold, target)
         first = end
 
 
@@ -214,38 +186,23 @@ def _interpolate_four(
     """Fold samples between five rows of an image into four; `step` by column, by row."""
     (right, below), (right_step, down_step, row_step) = start, step
     width = count + 1
-    k1, k2, k3, k4 = (
-        corner + pitch,
-        corner + pitch * np.uint32(2),
-        corner + pitch * np.uint32(3),
-        corner + pitch * np.uint32(4),
-    )
+    k1, k2 = corner + pitch, corner + pitch * np.uint32(2)
+    k3, k4 = corner + pitch * np.uint32(3), corner + pitch * np.uint32(4)
     p, q, r = flat[corner : corner + width], flat[k1 : k1 + width], flat[k2 : k2 + width]
     s, t = flat[k3 : k3 + width], flat[k4 : k4 + width]
-    below_1, below_2, below_3 = (
-        below + row_step,
-        below + np.float32(2.0) * row_step,
-        below + np.float32(3.0) * row_step,
-    )
+    below_1, below_2 = below + row_step, below + np.float32(2.0) * row_step
+    below_3 = below + np.float32(3.0) * row_step
     for i in range(count):
         along = np.float32(np.int32(i))
         share, down = right + right_step * along, down_step * along
-        row_0, row_1, row_2 = (
-            p[i] + share * (p[i + 1] - p[i]),
-            q[i] + share * (q[i + 1] - q[i]),
-            r[i] + share * (r[i + 1] - r[i]),
-        )
-        row_3, row_4 = s[i] + share * (s[i + 1] - s[i]), t[i] + share * (t[i + 1] - t[i])
+        row_0, row_1 = p[i] + share * (p[i + 1] - p[i]), q[i] + share * (q[i + 1] - q[i])
+        row_2, row_3 = r[i] + share * (r[i + 1] - r[i]), s[i] + share * (s[i + 1] - s[i])
+        row_4 = t[i] + share * (t[i + 1] - t[i])
+        k = i + TILE_COLUMNS, i + 2 * TILE_COLUMNS, i + 3 * TILE_COLUMNS
         target[i] = _fold(target[i], row_0 + (below + down) * (row_1 - row_0), fold)
-        target[i + TILE_COLUMNS] = _fold(
-            target[i + TILE_COLUMNS], row_1 + (below_1 + down) * (row_2 - row_1), fold
-        )
-        target[i + 2 * TILE_COLUMNS] = _fold(
-            target[i + 2 * TILE_COLUMNS], row_2 + (below_2 + down) * (row_3 - row_2), fold
-        )
-        target[i + 3 * TILE_COLUMNS] = _fold(
-            target[i + 3 * TILE_COLUMNS], row_3 + (below_3 + down) * (row_4 - row_3), fold
-        )
+        target[k[0]] = _fold(target[k[0]], row_1 + (below_1 + down) * (row_2 - row_1), fold)
+        target[k[1]] = _fold(target[k[1]], row_2 + (below_2 + down) * (row_3 - row_2), fold)
+        target[k[2]] = _fold(target[k[2]], row_3 + (below_3 + down) * (row_4 - row_3), fold)
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -264,9 +221,8 @@ def _add_log2(product: Any, total: Any) -> None:
     c0, c1, c2, c3, c4, c5 = _LOG2_REST
     for i in range(len(mantissa)):
         t = mantissa[i] - np.float32(1.0)
-        total[i] += (
-            t * (np.float32(1.0) - t) * (c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))))
-        )
+        rest = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
+        total[i] += t * (np.float32(1.0) - t) * rest
         product[i] = 1.0
 
 
@@ -295,15 +251,8 @@ def sum_planes(
         for plane in range(planes):
             total[:] = 0.0
             for camera in range(len(rectified)):
-                _fold_tile(
-                    rectified[camera],
-                    spline,
-                    maps[tile, plane, camera],
-                    value,
-                    (value,),
-                    total,
-                    (height, width),
-                )
+                image, affine = rectified[camera], maps[tile, plane, camera]
+                _fold_tile(image, spline, affine, value, (value,), total, (height, width))
             for row in range(height):
                 target = out[plane, top + row, left : left + width]
                 for i in range(width):
@@ -328,23 +277,15 @@ def multiply_planes(
     for tile in range(jobs.start, jobs.stop):
         top, left = tile // across * TILE_ROWS, tile % across * TILE_COLUMNS
         height, width = min(TILE_ROWS, rows - top), min(TILE_COLUMNS, columns - left)
-        product, total = (
-            np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32),
-            np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32),
-        )
+        product = np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32)
+        total = np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32)
         for plane in range(planes):
             total[:] = 0.0
             product[:] = 1.0
             for camera in range(len(rectified)):
-                _fold_tile(
-                    rectified[camera],
-                    LINEAR,
-                    maps[tile, plane, camera],
-                    value,
-                    (smallest, smallest),
-                    product,
-                    (height, width),
-                )
+                image, affine = rectified[camera], maps[tile, plane, camera]
+                fold = smallest, smallest
+                _fold_tile(image, LINEAR, affine, value, fold, product, (height, width))
                 if camera % group == group - 1 or camera == len(rectified) - 1:
                     _add_log2(product, total)
             for row in range(height):
@@ -376,9 +317,7 @@ def sum_shifted(jobs: slice, images: Any, shifts: Any, out: Any) -> None:
                     column, line = shifts[plane, camera, 0], row + shifts[plane, camera, 1]
                     low, high = max(0, -column), min(columns, images.shape[2] - column)
                     if 0 <= line < images.shape[1] and low < high:
-                        source, inner = (
-                            images[camera, line, low + column : high + column],
-                            target[low:high],
-                        )
+                        source = images[camera, line, low + column : high + column]
+                        inner = target[low:high]
                         for i in range(len(inner)):
                             inner[i] += source[i]

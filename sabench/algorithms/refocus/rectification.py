@@ -24,10 +24,7 @@ _LINES = 64  # lines filtered side by side, so that the recursion runs over cont
 
 
 def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
-    """Compute coefficients (n, rows + 3, columns + 3) of the B-spline.
-
-    It is mirrored at the borders.
-    """
+    """Compute coefficients (n, rows + 3, columns + 3) of the mirrored B-spline."""
     if spline == LINEAR:
         return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
     count, rows, columns = images.shape
@@ -148,10 +145,7 @@ def _along_row(polynomial: Any, degree: int, v: float) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _evaluate(line: Any, out: Any) -> None:
-    """Evaluate a polynomial at evenly spaced u from -1 to 1.
-
-    Sums of powers are kept as vectors.
-    """
+    """Evaluate a polynomial at evenly spaced u from -1 to 1 by vectors of sums."""
     step, start = 2.0 / max(len(out) - 1, 1), 1.0 if len(out) > 1 else 0.0
     value = np.full(len(out), line[-1])
     for k in range(len(line) - 2, -1, -1):
@@ -164,10 +158,7 @@ def _evaluate(line: Any, out: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any, out: Any) -> None:
-    """Interpolate with four by four weights.
-
-    Weights are computed in separate loops, which run on vectors.
-    """
+    """Interpolate with 4 x 4 weights, computed in separate loops to run on vectors."""
     last_row, last_column, pitch = (
         np.float32(padded.shape[0] - 4),
         np.float32(padded.shape[1] - 4),

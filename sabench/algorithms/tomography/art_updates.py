@@ -82,14 +82,14 @@ def mart_sweep(
     slots = np.zeros((TASKS, geometry.rows * geometry.columns), dtype=np.int32)
     first = np.empty(geometry.rows * geometry.columns + 1, dtype=np.int64)
     voxels = parts, support.start, support.x
-    on_cores(_count, TASKS, geometry, camera, *voxels, slots)
+    on_cores(_count, TASKS, geometry, camera, voxels, slots)
     _number(slots, first)
     entries = int(first[-1])
     voxel = np.empty(entries, dtype=np.int32)
     across, down, light = (np.empty(entries, dtype=np.float32) for _ in range(3))
     spread, taps = np.float32(lines.footprint.spread), 2 + 2 * geometry.margin
     buckets = Buckets(spread, taps, geometry.columns, first, voxel, across, down, light)
-    on_cores(_fill, TASKS, geometry, camera, *voxels, values, slots, buckets)
+    on_cores(_fill, TASKS, geometry, camera, voxels, values, slots, buckets)
     missed = np.zeros(math.ceil(len(image) / STRIP))
     for odd in range(2):
         strips = (len(missed) - odd + 1) // 2
@@ -99,10 +99,9 @@ def mart_sweep(
 
 
 @numba.njit(cache=True, nogil=True)
-def _count(
-    jobs: slice, geometry: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any
-) -> None:
+def _count(jobs: slice, geometry: Any, camera: int, voxels: Any, slots: Any) -> None:
     """Count the voxels of every part on every pixel into zero slots (part, pixel)."""
+    parts, start, x = voxels
     for part in range(jobs.start, jobs.stop):
         work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
         for row in range(parts[part], parts[part + 1]):
@@ -127,50 +126,24 @@ def _number(slots: Any, first: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _fill(
-    jobs: slice,
-    geometry: Any,
-    camera: int,
-    parts: Any,
-    start: Any,
-    x: Any,
-    values: Any,
-    slots: Any,
-    buckets: Any,
+    jobs: slice, geometry: Any, camera: int, voxels: Any, values: Any, slots: Any, buckets: Any
 ) -> None:
+    """Put every part's voxels into their pixels; `slots` advances with each."""
+    parts, start, x = voxels
     for part in range(jobs.start, jobs.stop):
-        _fill_part(
-            geometry, camera, parts[part], parts[part + 1], start, x, values, slots[part], buckets
-        )
-
-
-@numba.njit(cache=True)
-def _fill_part(
-    geometry: Any,
-    camera: int,
-    begin: int,
-    end: int,
-    start: Any,
-    x: Any,
-    values: Any,
-    slots: Any,
-    buckets: Any,
-) -> None:
-    """Put the voxels of some rows into their pixels; `slots` advances with each."""
-    work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
-    for row in range(begin, end):
-        base, across, down = locate(geometry, camera, row, x[start[row] : start[row + 1]], work)
-        for i in range(len(base)):
-            if base[i] >= 0:
-                slot = slots[base[i] - corner]
-                slots[base[i] - corner] += 1
-                buckets.voxel[slot] = start[row] + i
-                buckets.across[slot] = np.float32(base[i] % geometry.columns) + np.float32(
-                    across[i]
-                ) / np.float32(STEPS)
-                buckets.down[slot] = np.float32(base[i] // geometry.columns) + np.float32(
-                    down[i]
-                ) / np.float32(STEPS)
-                buckets.light[slot] = values[start[row] + i]
+        work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
+        for row in range(parts[part], parts[part + 1]):
+            base, across, down = locate(geometry, camera, row, x[start[row] : start[row + 1]], work)
+            for i in range(len(base)):
+                if base[i] >= 0:
+                    slot = slots[part, base[i] - corner]
+                    slots[part, base[i] - corner] += 1
+                    right, below = np.float32(across[i]), np.float32(down[i])
+                    column, line = base[i] % geometry.columns, base[i] // geometry.columns
+                    buckets.voxel[slot] = start[row] + i
+                    buckets.across[slot] = np.float32(column) + right / np.float32(STEPS)
+                    buckets.down[slot] = np.float32(line) + below / np.float32(STEPS)
+                    buckets.light[slot] = values[start[row] + i]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -218,12 +191,8 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
     """Compute sum_j W_ij I_j of one pixel."""
     total = np.float32(0.0)
     for above in range(min(buckets.taps, row + 1)):
-        total += _sum(
-            *_stretch(buckets, row - above, column),
-            np.float32(row),
-            np.float32(column),
-            buckets.spread,
-        )
+        voxels = _stretch(buckets, row - above, column)
+        total += _sum(*voxels, np.float32(row), np.float32(column), buckets.spread)
     return total
 
 
@@ -231,13 +200,8 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
 def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
     """Multiply the voxels of one pixel: I_j <- I_j 2^(exponent W_ij)."""
     for above in range(min(buckets.taps, row + 1)):
-        _multiply(
-            *_stretch(buckets, row - above, column),
-            np.float32(row),
-            np.float32(column),
-            buckets.spread,
-            exponent,
-        )
+        voxels = _stretch(buckets, row - above, column)
+        _multiply(*voxels, np.float32(row), np.float32(column), buckets.spread, exponent)
 
 
 @numba.njit(cache=True)
@@ -261,17 +225,13 @@ def _multiply(
     down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any, exponent: Any
 ) -> None:
     for k in range(len(light)):
-        light[k] *= exp2(
-            exponent * _share(down[k] - row, spread) * _share(across[k] - column, spread)
-        )
+        part = exponent * _share(down[k] - row, spread)
+        light[k] *= exp2(part * _share(across[k] - column, spread))
 
 
 @numba.njit(cache=True, fastmath=True)
 def _share(distance: Any, spread: Any) -> Any:
-    """Compute the part of a voxel's light a pixel gets along one axis.
-
-    See `Footprint`.
-    """
+    """Compute a pixel's part of a voxel's light along one axis; see `Footprint`."""
     one, none = np.float32(1.0), np.float32(0.0)
     direct = max(one - abs(distance), none)
     given = max(one - abs(distance - one), none) + max(one - abs(distance + one), none)

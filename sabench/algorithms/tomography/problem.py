@@ -121,37 +121,19 @@ def _multiply_block(
             x[row, i] = i
     for camera in range(len(images)):
         for row in range(len(x)):
-            left = counts[row]
-            counts[row] = _multiply_camera(
-                geometry,
-                images[camera],
-                threshold,
-                camera,
-                first + row,
-                left,
-                work,
-                x[row],
-                product[row],
-                views[row],
-            )
+            voxels = x[row], product[row], views[row]
+            place = camera, first + row, counts[row]
+            counts[row] = _multiply_camera(geometry, images[camera], threshold, place, work, voxels)
     for row in range(len(x)):
         counts[row] = _take_root(counts[row], x[row], product[row], views[row], values[row])
 
 
 @numba.njit(cache=True)
 def _multiply_camera(
-    geometry: Any,
-    image: Any,
-    threshold: float,
-    camera: int,
-    row: int,
-    left: int,
-    work: Any,
-    x: Any,
-    product: Any,
-    views: Any,
+    geometry: Any, image: Any, threshold: float, place: Any, work: Any, voxels: Any
 ) -> int:
     """Multiply one camera's samples, remove black voxels, and count the others."""
+    (camera, row, left), (x, product, views) = place, voxels
     base, across, down = locate(geometry, camera, row, x[:left], work)
     written = 0
     for i in range(left):
@@ -159,12 +141,8 @@ def _multiply_camera(
         if base[i] >= 0:
             light, counts = sample_image(image, geometry.columns, base[i], across[i], down[i]), 1
         x[written], product[written], views[written] = x[i], product[i] * light, views[i] + counts
-        written += int(
-            light >= threshold
-            # whatever comes next is written over what was black: cheaper than a branch that cannot
-            # be
-            # foreseen
-        )
+        # what comes next is written over what was black: cheaper than an unforeseeable branch
+        written += int(light >= threshold)
     return written
 
 

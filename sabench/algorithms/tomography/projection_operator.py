@@ -44,10 +44,7 @@ class Footprint:
         return 1 if self.spread else 0
 
     def smooth(self, images: F32) -> F32:
-        """Spread light of images (camera, row, column) symmetrically.
-
-        Beyond their borders, images are dark.
-        """
+        """Spread light of images (camera, row, column), dark outside, symmetrically."""
         if not self.spread:
             return images
         kernel = np.array([self.spread, 1.0 - 2.0 * self.spread, self.spread])
@@ -166,10 +163,7 @@ class ProjectionOperator:
         return range(len(self.geometry.maps))
 
     def forward(self, values: F32, cameras: Sequence[int] | None = None) -> F32:
-        """Project voxels (n,) to images (camera, row, column) of the given cameras.
-
-        The default is all cameras.
-        """
+        """Project voxels (n,) to images (camera, row, column) of some cameras, or all."""
         chosen = self._numbers(cameras)
         parts = self.support.parts(max(1, TASKS // len(chosen)))
         size = self.geometry.rows, self.geometry.columns
@@ -180,10 +174,7 @@ class ProjectionOperator:
         return self.footprint.smooth(images.sum(axis=1).reshape(-1, *size))
 
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
-        """Compute sum_i W_ij images_i for every voxel (n,), over the given cameras.
-
-        The default is all cameras.
-        """
+        """Compute sum_i W_ij images_i for every voxel (n,), over some cameras, or all."""
         flat = self.footprint.smooth(images).reshape(len(images), -1)
         chosen, support = self._numbers(cameras), self.support
         out = np.zeros(len(support), dtype=np.float32)

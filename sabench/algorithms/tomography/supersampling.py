@@ -85,14 +85,11 @@ def split(grid: Grid, count: Splits) -> Grid:
 
 
 def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
-    """Return the volume (z, y, x) on `grid` of Gaussian blobs of `sigma_mm`.
-
-    The blobs are points if it is 0.
-    """
+    """Return the volume (z, y, x) of Gaussian blobs of `sigma_mm`, points if it is 0."""
     x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
     volume = np.zeros(grid.shape, dtype=np.float32)
     fine = support.start, support.x, values, *support.shape[1:]
-    on_cores(_gather, math.prod(grid.shape[:2]), *fine, x, y, z, volume)
+    on_cores(_gather, math.prod(grid.shape[:2]), fine, (x, y, z), volume)
     return volume
 
 
@@ -113,19 +110,9 @@ def _profile(count: int, sigma: float) -> F32:
 
 
 @numba.njit(cache=True, nogil=True)
-def _gather(
-    jobs: slice,
-    start: Any,
-    x: Any,
-    values: Any,
-    height: int,
-    width: int,
-    along_x: Any,
-    along_y: Any,
-    along_z: Any,
-    volume: Any,
-) -> None:
+def _gather(jobs: slice, fine: Any, shares: Any, volume: Any) -> None:
     """Sum fine rows within the radius, and spread the sum's fine voxels along x."""
+    (start, x, values, height, width), (along_x, along_y, along_z) = fine, shares
     planes, rows, _ = volume.shape
     (count_y, width_y), (count_z, width_z) = along_y.shape, along_z.shape
     for task in range(jobs.start, jobs.stop):

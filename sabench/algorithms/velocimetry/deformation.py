@@ -94,10 +94,7 @@ def _filter_rows(plane: Any, pole: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _cubic(part: Any) -> Any:
-    """Compute weights of the four nearest coefficients.
-
-    The argument is the fraction from the second one.
-    """
+    """Compute weights of the four nearest coefficients, a fraction from the second."""
     rest = np.float32(1.0) - part
     sixth = np.float32(1.0 / 6.0)
     outer, inner = rest * rest * rest * sixth, part * part * part * sixth
@@ -126,10 +123,8 @@ def deform_pair(
     for job in range(jobs.start, jobs.stop):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
-        positions, corners = (
-            np.empty((3, width), dtype=np.float32),
-            np.empty((3, width), dtype=np.int32),
-        )
+        positions = np.empty((3, width), dtype=np.float32)
+        corners = np.empty((3, width), dtype=np.int32)
         beyond = np.zeros(width, dtype=np.bool_)
         _aim(row, origin[2], step[2], -0.5, y, z, positions, corners)
         _read_row(first, positions, corners, z, y, out, beyond)
@@ -157,10 +152,8 @@ def deform(
     for job in range(jobs.start, jobs.stop):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
-        positions, corners = (
-            np.empty((3, width), dtype=np.float32),
-            np.empty((3, width), dtype=np.int32),
-        )
+        positions = np.empty((3, width), dtype=np.float32)
+        corners = np.empty((3, width), dtype=np.int32)
         beyond = np.zeros(width, dtype=np.bool_)
         _aim(row, origin[2], step[2], share, y, z, positions, corners)
         _read_row(coefficients, positions, corners, z, y, out, beyond)
@@ -180,16 +173,8 @@ def _read_row(
         if 1 <= j < height - 2 and 1 <= k < depth - 2:
             low = min(max(first, 1 - i), end)
             high = max(low, min(end, width - 2 - i))
-            _stretch(
-                coefficients.ravel(),
-                (k * height + j) * width + i,
-                width,
-                height * width,
-                positions,
-                low,
-                high,
-                out[z, y],
-            )
+            flat, corner = coefficients.ravel(), (k * height + j) * width + i
+            _stretch(flat, corner, width, height * width, positions, low, high, out[z, y])
         _read_edge(coefficients, positions, corners, first, low, out[z, y], beyond)
         _read_edge(coefficients, positions, corners, high, end, out[z, y], beyond)
         first = end
@@ -209,9 +194,8 @@ def _read_edge(
         ):
             beyond[x] = True
         else:
-            out[x] = _sample(
-                coefficients, (i, j, k), (positions[0, x], positions[1, x], positions[2, x])
-            )
+            part = positions[0, x], positions[1, x], positions[2, x]
+            out[x] = _sample(coefficients, (i, j, k), part)
 
 
 @numba.njit(cache=True)
@@ -224,10 +208,7 @@ def _is_beyond(voxel: int, part: Any, count: int) -> bool:
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
-    """Find the voxel (x, y, z) and fraction where each one is read.
-
-    x is relative to its own.
-    """
+    """Find the voxel (x, y, z), x from its own, and fraction where each is read."""
     last = len(row) - 1
     for x in range(positions.shape[1]):
         at = (x - origin) / step
@@ -294,10 +275,7 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
 def _stretch(
     flat: Any, at: int, width: int, plane: int, positions: Any, first: int, end: int, out: Any
 ) -> None:
-    """Read adjacent voxels of a row, `at` + x.
-
-    Rows in one array let the loop vectorise.
-    """
+    """Read adjacent voxels of a row, `at` + x: rows in one array vectorise the loop."""
     row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
     for n in range(np.uint64(end - first)):
         x = np.uint64(first) + n

@@ -286,10 +286,7 @@ def evaluate(first: F32, second: F32, plan: MultipassPlan) -> Field:
 
 
 def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: float) -> Field:
-    """Evaluate one pass of spectra on fixed windows.
-
-    The thesis does so in section 2.3.3.
-    """
+    """Evaluate one pass of spectra on fixed windows (thesis, section 2.3.3)."""
     windows = Windows.over(first.shape, size, overlap)
     peaks = by_spectra(first, second, windows)
     assert peaks.ratio is not None

@@ -141,37 +141,28 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
     count = len(curve)
     rest = sums[2, count // 2], sums[3, count // 2]
     for n in range(count):
-        scale = np.sqrt(
-            max((sums[2, n] + rest[0]) * (sums[3, count - 1 - n] + rest[1]), np.float32(0.0))
-        )
+        square = (sums[2, n] + rest[0]) * (sums[3, count - 1 - n] + rest[1])
+        scale = np.sqrt(max(square, np.float32(0.0)))
         curve[n] = (sums[0, n] + sums[1, count - 1 - n]) / scale if scale > 2.0 * floor else 0.0
 
 
 @numba.njit(cache=True, fastmath=True)
 def _highest(curve: Any, search: Any, shift: Any) -> Any:
-    """Fill in the refined position (x, y, z) of the best small shift.
-
-    Return its height.
-    """
+    """Fill in the best small shift's refined position (x, y, z); return its height."""
     top = 0
     for n in range(len(curve)):
         if curve[n] > curve[top]:
             top = n
     across, along = 2 * search[2] + 1, (2 * search[2] + 1) * (2 * search[1] + 1)
-    position = (
-        top % across - search[2],
-        top % along // across - search[1],
-        top // along - search[0],
-    )
+    x, y, z = top % across, top % along // across, top // along
+    position = x - search[2], y - search[1], z - search[0]
     strides, ends = (1, across, along), (search[2], search[1], search[0])
     for axis in range(3):
         shift[axis] = position[axis]
-        if (
-            abs(position[axis]) < ends[axis]
-        ):  # at the edge of the search: the whole step, no more is known
-            shift[axis] += _vertex(
-                curve[top - strides[axis]], curve[top], curve[top + strides[axis]]
-            )
+        # at the edge of the search: the whole step, no more is known
+        if abs(position[axis]) < ends[axis]:
+            before, after = curve[top - strides[axis]], curve[top + strides[axis]]
+            shift[axis] += _vertex(before, curve[top], after)
         if curve[top] <= 0.0:
             shift[axis] = 0.0
     return curve[top]
@@ -220,15 +211,13 @@ def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
         top = _largest(flat)
         z, y, x = top // (high * wide), top // wide % high, top % wide
         here = flat[top]
-        shift[n, 0] = _to_displacement(x, wide) + _vertex(
-            plane[z, y, x - 1], here, plane[z, y, (x + 1) % wide]
-        )
-        shift[n, 1] = _to_displacement(y, high) + _vertex(
-            plane[z, y - 1, x], here, plane[z, (y + 1) % high, x]
-        )
-        shift[n, 2] = _to_displacement(z, deep) + _vertex(
-            plane[z - 1, y, x], here, plane[(z + 1) % deep, y, x]
-        )
+        right, below, behind = (x + 1) % wide, (y + 1) % high, (z + 1) % deep
+        part = _vertex(plane[z, y, x - 1], here, plane[z, y, right])
+        shift[n, 0] = _to_displacement(x, wide) + part
+        part = _vertex(plane[z, y - 1, x], here, plane[z, below, x])
+        shift[n, 1] = _to_displacement(y, high) + part
+        part = _vertex(plane[z - 1, y, x], here, plane[behind, y, x])
+        shift[n, 2] = _to_displacement(z, deep) + part
         for k in range(-1, 2):
             for j in range(-1, 2):
                 for i in range(-1, 2):

@@ -172,10 +172,7 @@ def read_baseline(path: Path, suite: str) -> Baseline:
 
 
 def write_baseline(path: Path, baseline: Baseline) -> None:
-    """Write a baseline atomically.
-
-    It is canonical JSON: equal baselines give equal bytes.
-    """
+    """Write a baseline atomically as canonical JSON: equal ones give equal bytes."""
     with complete_or_nothing(path, overwrite=True) as partial:
         partial.write_text(canonical_json(baseline.model_dump(mode="json")), encoding="utf-8")
 

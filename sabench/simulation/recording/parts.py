@@ -157,10 +157,7 @@ class Parts:
         _save(self._frame(frame), _part(frame, entries))
 
     def has_view(self, frame: int, camera: str) -> bool:
-        """Return whether a camera's part of a frame is there and intact.
-
-        Its images are compared bit by bit.
-        """
+        """Return whether a camera's part of a frame is there and intact, bit by bit."""
         part = _load(self._view(frame, camera))
         if part is None or _FILES not in part.arrays:
             return False

@@ -92,10 +92,7 @@ class Recorder:
         return [*self._truth(self._last), *self._kept(self._last)]
 
     def view(self, number: int, camera: int, recall: Recall) -> CameraPart:
-        """Render one camera's image of a frame, and its truth.
-
-        `recall` gives the frame's part.
-        """
+        """Render a camera's image of a frame, and truth; `recall` gives the frame's part."""
         if self._last is None or self._last.number != number:
             part = recall(number)
             lit = part.find(_Illuminated)

@@ -65,10 +65,7 @@ class WorkerPool(Protocol):
 
 @dataclass
 class _Frame:
-    """State of a frame in progress.
-
-    Its cameras' tasks are queued once its truth exists.
-    """
+    """Frame in progress, whose cameras' tasks are queued once its truth exists."""
 
     made: bool = False
     given: bool = False
@@ -134,10 +131,7 @@ class Schedule:
             del self._open[task.frame]
 
     def fail(self, task: RecordingTask, why: str) -> None:
-        """Note that a task has failed.
-
-        It is retried, and given up after `TRIES` attempts.
-        """
+        """Note that a task has failed; it is given up after `TRIES` attempts."""
         tries = self._tries[task] = self._tries.get(task, 0) + 1
         if tries < TRIES:
             frame = self._open[task.frame]

@@ -136,10 +136,7 @@ def _fill_errors(
 
 @numba.njit(cache=True)
 def _share_out(off: Any, count: Any, counted: Any, error: float) -> Any:
-    """Share passes out among pixels.
-
-    Returns (n,) each one's share, and the passes for a share of 1.
-    """
+    """Share passes out among pixels: each one's share (n,), and passes of share 1."""
     share = np.empty(len(off))
     for n in range(len(off)):
         share[n] = (off[n] * off[n] * count[n]) ** (1.0 / 3.0)

@@ -57,10 +57,7 @@ def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any) -> Any:
 
 
 def lens_rays(camera: Camera, origin: F64, column: Any, row: Any, lens_mm: tuple[Any, Any]) -> Any:
-    """Make rays from points of the aperture to the plane in focus.
-
-    Other parameters as `pinhole_rays`.
-    """
+    """Make rays from points of the aperture to the plane in focus (`pinhole_rays`)."""
     u, v = _distorted(camera, column, row)
     x, y = undistort_rays(camera.distortion, u, v)
     a, b = lens_mm

@@ -241,7 +241,7 @@ class _Octave:
             self._numbers = np.concatenate([self._numbers, own])
         places, out = self._places[numbers - self._lowest], np.empty(len(numbers))
         at, half = angles_rad / self._step_rad - self._first, half_rad / self._step_rad
-        on_cores(_average, len(out), self.rows, places, at, half, in_plane, *_nodes(), out)
+        on_cores(_average, len(out), self.rows, places, at, half, in_plane, _nodes(), out)
         return out
 
     def _multiples(self, reach_rad: tuple[float, float]) -> tuple[int, int]:
@@ -272,21 +272,14 @@ def _nodes() -> tuple[F64, F64]:
 
 @numba.njit(cache=True, nogil=True)
 def _average(
-    jobs: slice,
-    rows: Any,
-    places: Any,
-    at: Any,
-    half: Any,
-    in_plane: Any,
-    points: Any,
-    weights: Any,
-    out: Any,
+    jobs: slice, rows: Any, places: Any, at: Any, half: Any, in_plane: Any, nodes: Any, out: Any
 ) -> None:
     """Average cubic interpolations over apertures; `at` and `half` are in steps."""
+    points, weights = nodes
     largest, last = points.shape[0] - 1, rows.shape[1] - 3
     for i in range(jobs.start, jobs.stop):
         count = min(int(0.3 * half[i]) + 5, largest)  # the lobes' phase needs half as many
-        row, both = places[i], (1.0 - in_plane[i], in_plane[i])
+        row, both = rows[places[i]], (1.0 - in_plane[i], in_plane[i])
         total = 0.0
         for k in range(count):
             position = at[i] + half[i] * points[count, k]
@@ -296,12 +289,8 @@ def _average(
             w0, w1 = -t * (t - 1.0) * after / 6.0, before * (t - 1.0) * after / 2.0
             w2, w3 = -before * t * after / 2.0, before * t * (t - 1.0) / 6.0
             for p in range(2):
-                value = (
-                    w0 * rows[row, cell - 1, p]
-                    + w1 * rows[row, cell, p]
-                    + w2 * rows[row, cell + 1, p]
-                    + w3 * rows[row, cell + 2, p]
-                )
+                value = w0 * row[cell - 1, p] + w1 * row[cell, p]
+                value = value + w2 * row[cell + 1, p] + w3 * row[cell + 2, p]
                 total += both[p] * weights[count, k] * value
         out[i] = max(total, 0.0)
 

@@ -76,10 +76,7 @@ def render(
 
 @numba.njit(cache=True)
 def _list_boxes(low: Any, high: Any, some: Any, columns: int, pixels: int) -> Any:
-    """List the boxes on each pixel.
-
-    Returns where each pixel's numbers start (pixels + 1,), and all numbers.
-    """
+    """List the boxes on each pixel: starts (pixels + 1,) of numbers, and all numbers."""
     starts = np.zeros(pixels + 1, np.int64)
     for n in some:
         for row in range(low[n, 1], high[n, 1] + 1):

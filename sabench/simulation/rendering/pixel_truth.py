@@ -241,10 +241,7 @@ _ODD = np.array([0.8017837, 0.2672612, 0.5345225])  # a direction in which few b
 
 
 def mesh_of(mi: Any, solid: Solid, origin: F64, **how: Any) -> Any:
-    """Convert a body to a mesh of Mitsuba's.
-
-    `how` are further arguments of `mi.Mesh`.
-    """
+    """Convert a body to a mesh of Mitsuba's, with further arguments of `mi.Mesh`."""
     mesh = mi.Mesh("body", len(solid.vertices_mm), len(solid.faces), **how)
     values = mi.traverse(mesh)
     values["vertex_positions"] = (solid.vertices_mm - origin).astype(np.float32).ravel()

@@ -249,10 +249,7 @@ def _find_marked(variable: str, token: str) -> list[psutil.Process]:
 
 
 def _size_mb(folder: Path) -> float:
-    """Return the disk space of all files below a folder, in MB.
-
-    Links are not followed.
-    """
+    """Return the disk space of all files below a folder, in MB; links not followed."""
     blocks = 0
     for path, _, files in os.walk(folder):
         for name in files:
@@ -297,10 +294,7 @@ def overdue(time_s: float) -> str:
 
 @contextlib.contextmanager
 def kill_if_left(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Kill a process and all below it if the block ends first.
-
-    Its pipes are closed, too.
-    """
+    """Kill a process and all below it if the block ends first, and close its pipes."""
     try:
         yield
     finally:

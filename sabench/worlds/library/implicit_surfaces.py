@@ -150,25 +150,15 @@ def capsules(
     sines, lengths = fall * over, np.where(ball, 0.0, lengths)
     extents = lengths + np.maximum(start_radii_mm, end_radii_mm)
     out = np.empty(len(points_mm))
-    _union(
-        points_mm, starts, directions * over[:, None], lengths, radii, sines, extents, blend_mm, out
-    )
+    cones = starts, directions * over[:, None], lengths, radii, sines, extents
+    _union(points_mm, cones, blend_mm, out)
     return out
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _union(
-    points: Any,
-    starts: Any,
-    directions: Any,
-    lengths: Any,
-    radii: Any,
-    sines: Any,
-    extents: Any,
-    blend: float,
-    out: Any,
-) -> None:
+def _union(points: Any, cones: Any, blend: float, out: Any) -> None:
     """Smooth minimum of distances to rounded cones, relative to the least so far."""
+    starts, directions, lengths, radii, sines, extents = cones
     nearest = 0
     for n in range(len(points)):
         # the neighbour's nearest one first: what is far beyond it needs no distance
@@ -181,13 +171,8 @@ def _union(
             far = least + _BAND * blend + extents[k]
             if square > far * abs(far):
                 continue
-            value = _distance(
-                square,
-                x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2],
-                lengths[k],
-                radii[k],
-                sines[k],
-            )
+            along = x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2]
+            value = _distance(square, along, lengths[k], radii[k], sines[k])
             if value < least:
                 total = total * np.exp((value - least) / blend) + 1.0
                 least, nearest = value, k

@@ -13,10 +13,7 @@ _LAST = -0.1036  # of x^4: with the report's -0.1015 the trailing edge is 0.2 % 
 
 
 def half_thickness(x: npt.ArrayLike, ratio: float) -> F64:
-    """Compute half thickness at x, both in chords.
-
-    `ratio` is the largest thickness over the chord.
-    """
+    """Compute half thickness at x, both in chords, of a largest thickness `ratio`."""
     at = np.asarray(x, dtype=np.float64)
     polynomial = at * (-0.1260 + at * (-0.3516 + at * (0.2843 + _LAST * at)))
     return np.asarray(5.0 * ratio * (0.2969 * np.sqrt(at) + polynomial))

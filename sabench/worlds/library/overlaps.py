@@ -103,10 +103,7 @@ def overlapping(bubbles: Bubbles) -> I64:
 
 
 def touching(bubbles: Bubbles, solid: Solid) -> Bool:
-    """Find which bubbles (n,) a body's surface crosses.
-
-    A bubble that lies wholly inside is not among them.
-    """
+    """Find which bubbles (n,) a body's surface crosses, not those wholly inside."""
     out = np.zeros(len(bubbles), dtype=np.bool_)
     radius = bubbles.semi_axes_mm.max(axis=1)
     _touch(bubbles.center_mm, bubbles.to_ball, radius, solid.vertices_mm, solid.faces, out)

@@ -67,10 +67,7 @@ def radii(
 def spheroids(
     spectrum: Spectrum, rng: np.random.Generator, count: int, largest_mm: float = np.inf
 ) -> tuple[F64, F64]:
-    """Draw semi-axes (count, 3) and rotations (count, 3, 3) of oblate spheroids.
-
-    The short axis is the second.
-    """
+    """Draw semi-axes (count, 3), the second short, and rotations of oblate spheroids."""
     radius = radii(spectrum, rng, count, largest_mm)
     aspect = rng.uniform(*spectrum.aspect_range, count)
     long = radius * aspect ** (-1.0 / 3.0)
