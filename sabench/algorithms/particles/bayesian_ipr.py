@@ -31,10 +31,9 @@ Moves (P. J. Green, Biometrika 82, 711-732, 1995), where they raise the probabil
 
 Course. `_share_the_light`: candidates of any light with images that are a little too wide are
 fitted jointly, and the darkest are dropped in steps. `_find_most`: find, fit, remove, with floors
-of the candidates' light and errors of the model that fall; learn S from the half of the particles
-that differ least, typical light, and the cameras' shifts. `_find_visible` and
-`without_wrong_cameras`: once more without areas that something hides, or cameras that contradict
-the others.
+of the candidates' light and errors of the model that fall; learn S and typical light from particles
+that stand alone, and the cameras' shifts from all. `_find_visible` and `without_wrong_cameras`:
+once more without areas that something hides, or cameras that contradict the others.
 `split_and_find`: split, fit, find, remove, learn the images' shapes. Last, what some cameras do not
 see (`obstacles`).
 

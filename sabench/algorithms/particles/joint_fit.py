@@ -8,14 +8,13 @@ penalty: the other side of the same probability, by Laplace's approximation.
 The prior of light: the logarithms of a particle's light over a typical particle's follow a normal
 distribution of all cameras. Particles differ (their size), and each differs between cameras (its
 lobes of scattering). A ghost combines images of different particles and seldom follows it. The
-covariance is learned from the half of the particles that differ least.
+covariance is learned from particles that stand alone.
 """
 
 import math
 from typing import Any
 
 import numpy as np
-from scipy.special import gammainc, gammaincinv
 
 from sabench.algorithms.particles.image_model import Sum, copy_row, look, paint_here, sum_up
 from sabench.utils.arrays import F64
@@ -23,6 +22,7 @@ from sabench.utils.compiled import numba
 
 # Light:
 _LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step that is the last
+_CLIP = 0.97  # share of the particles that the covariance comes from
 OWN_ERROR = 0.03  # of the model of images, over a particle's light: particles differ
 
 # Positions:
@@ -45,22 +45,19 @@ def scatter_between(covariance: F64) -> float:
 def learn_covariance(logarithms: F64) -> F64:
     """Learn the covariance of logarithms (n, camera) about their medians.
 
-    It is that of the half which has the least determinant, scaled as if all were normal (Rousseeuw
-    and van Driessen, Technometrics 1999): ghosts, overlapping and hidden images do not count. Of as
-    many more particles as there are cameras, all cameras have the average scatter.
+    The most unusual particles do not count. Of as many more particles as there are cameras, all
+    cameras have the average scatter.
     """
     off, cameras = logarithms - np.median(logarithms, axis=0), logarithms.shape[1]
-    half = (len(off) + 1) // 2
-    inside = gammainc(cameras / 2 + 1, gammaincinv(cameras / 2, 0.5))
-    more, covariance = cameras / (cameras + len(off)), np.eye(cameras)
-    for _ in range(10):
+    for _ in range(2):
+        covariance = off.T @ off / len(off) + 1e-4 * np.eye(cameras)
         far = np.einsum("ni,ij,nj->n", off, np.linalg.inv(covariance), off)
-        near = off[np.argsort(far, kind="stable")[:half]]
-        covariance = 0.5 / inside * near.T @ near / half
-        between = scatter_between(covariance)
-        common = math.sqrt(max(np.trace(covariance) / cameras - between**2, 0.0))
-        even = even_covariance(cameras, between, common) + 1e-4 * np.eye(cameras)
-        covariance = (1.0 - more) * covariance + more * even
+        off = off[far <= np.quantile(far, _CLIP)]
+    covariance = off.T @ off / len(off)
+    between = scatter_between(covariance)
+    common = math.sqrt(max(np.trace(covariance) / cameras - between**2, 0.0))
+    more = cameras / (cameras + len(off))
+    covariance = (1.0 - more) * covariance + more * even_covariance(cameras, between, common)
     return np.asarray(covariance + OWN_ERROR**2 * np.eye(cameras))
 
 

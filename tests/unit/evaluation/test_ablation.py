@@ -37,8 +37,8 @@ def test_numbers_are_doubled_and_halved_and_shares_as_what_they_miss() -> None:
         "halved": "(0.15, 1.25)",
     }
     rules = {rule.key: rule.variants for rule in rules_of("algorithms/particles")}
-    same = rules["algorithms.particles.model_moves._SAME"]["doubled"]
-    assert float(same) == pytest.approx(0.6)
+    clip = rules["algorithms.particles.joint_fit._CLIP"]["doubled"]
+    assert float(clip) == pytest.approx(0.94)
 
 
 @pytest.mark.slow
