@@ -12,7 +12,15 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from sabench.cli import compare, importing, maintain, make_data, own_recordings, solve_and_judge
+from sabench.cli import (
+    compare,
+    describe,
+    importing,
+    maintain,
+    make_data,
+    own_recordings,
+    solve_and_judge,
+)
 from sabench.cli.options import say
 from sabench.utils.errors import InputError
 from sabench.utils.installed import lacking
@@ -71,6 +79,7 @@ _PANELS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "Maintain": (
         maintain.list_all,
+        describe.info,
         maintain.schema,
         maintain.new,
         solve_and_judge.conform,

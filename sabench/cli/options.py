@@ -82,7 +82,39 @@ def option(metavar: str | None, text: str, *flags: str, **more: Any) -> Any:
 
 def argument(metavar: str, text: str, **more: Any) -> Any:
     """Declare an argument by its word and its help."""
+    if metavar in _KIND_OF:
+        more["callback"] = _check_kind
     return typer.Argument(metavar=metavar, help=text, **more)
+
+
+_KIND_OF = {word.replace(" ", "").upper(): word for word in ("data set", "result", *KINDS[1:])}
+
+
+def _check_kind(context: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+    """Refuse the name of another kind of thing, as when arguments are in another order."""
+    wanted = _KIND_OF[str(param.metavar)]
+    kinds = _kinds_of(str(value)) if value is not None else []
+    if kinds and wanted not in kinds:
+        pieces = context.command_path, *context.command.collect_usage_pieces(context)
+        usage = " ".join(piece.strip("{}") for piece in pieces)
+        raise InputError(
+            f"{param.metavar}: expected a {wanted}, got {value}, the name of a {kinds[0]}; "
+            f"usage: {usage}"
+        )
+    return value
+
+
+def _kinds_of(word: str) -> list[str]:
+    """Find what a word names: a data set, a result, or parts of sabench."""
+    path = Path(word)
+    named = {
+        "data set": (path / "manifest.json").is_file(),
+        "result": path.suffix == ".h5" and path.is_file(),
+        "solver": word in plugins.names("solvers"),
+        "scene": word in plugins.list_scenes(),
+        "suite": word in plugins.list_suites(),
+    }
+    return [kind for kind, fits in named.items() if fits]
 
 
 def output_option(metavar: str, text: str) -> Any:

@@ -3,7 +3,6 @@
 They are loaded with the parameters of their generators.
 """
 
-import difflib
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from sabench.scenes.scene import WORLDS, Scene, plain
 from sabench.scenes.variation import check_keys
 from sabench.utils.errors import InputError
 from sabench.utils.files import LONGEST_PART, file_series, read_toml, series_hash
-from sabench.utils.validation import Collector, validate
+from sabench.utils.validation import Collector, nearest_word, validate
 
 
 def find(name: str | Path, folder: str) -> Path:
@@ -36,12 +35,10 @@ def find(name: str | Path, folder: str) -> Path:
     files = {file.stem: file for inside in folders for file in inside.glob("*.toml")}
     if stem in files and direct.parent in (Path(), Path(folder), Path("suites")):
         return files[stem]
-    stems = sorted(files)
-    near = difflib.get_close_matches(stem, stems, 1)
-    raise InputError(
-        f"{name}: expected a file or one of {', '.join(stems)}"
-        + (f"; did you mean {near[0]}?" if near else "")
-    )
+    kind = "suite" if folder == "scenes/suites" else "scene"
+    near = nearest_word(stem, files)
+    hint = f"did you mean {near}?" if near else f"sabench list --kind {kind} has their names"
+    raise InputError(f"{name}: expected a file or the name of a bundled {kind}; {hint}")
 
 
 def load_scene(path: str | Path) -> Scene:

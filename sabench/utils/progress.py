@@ -7,10 +7,20 @@ import contextlib
 import functools
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sized
+from datetime import timedelta
 from typing import Any, TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.text import Text
 
 T = TypeVar("T")
 console = Console(stderr=True)
@@ -57,9 +67,18 @@ def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
         yield lambda: progress.advance(task)
 
 
+class _LeftColumn(ProgressColumn):
+    """Estimate of the time that is left, from the items so far."""
+
+    def render(self, task: Task) -> Text:
+        """Show nothing before the second item and after the last one."""
+        left = None if task.finished else task.time_remaining
+        return Text("" if left is None else f"{timedelta(seconds=round(left))} left")
+
+
 def _progress(*, refresh: bool) -> Progress:
     text = TextColumn("{task.description:<38}")
-    columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), _LeftColumn())
     return Progress(*columns, console=console, auto_refresh=refresh)
 
 

@@ -93,13 +93,44 @@ def test_the_bare_command_prints_help_and_no_error(command: Command) -> None:
 @pytest.mark.slow
 def test_help_shows_no_types_of_flags() -> None:
     commands = [info.name or info.callback.__name__ for info in registered() if info.callback]
-    assert len(commands) == 28
+    assert len(commands) == 29
     for name in commands:
         done = CliRunner().invoke(command_line.app, [name, "--help"])
         assert done.exit_code == 0
         assert "bool" not in done.output.lower()
         assert "range" not in done.output
         assert "--track" not in done.output
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("msa", ["solver msa (reconstruction)", "exponent", "> 0, <= 1", "Belden", "median Q"]),
+        ("uniform", ["generator uniform (particles)", "per_pixel", "0.05"]),
+        ("quick", ["scene quick", "4 cameras of 320 x 240 px", "suite quick", "Solvers: asa, msa"]),
+        ("q", ["score q (reconstruction)", "the larger, the better, from -1 to 1"]),
+    ],
+)
+def test_parts_are_described_by_their_names(name: str, told: list[str]) -> None:
+    done = CliRunner().invoke(command_line.app, ["info", name])
+    assert done.exit_code == 0, done.exception
+    missing = [text for text in told if text not in done.output]
+    assert not missing, done.output
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("info bayesan_ipr", "did you mean bayesian_ipr?"),
+        ("generate msa -o d", "expected a scene, got msa, the name of a solver"),
+        ("solve quick msa -o r.h5", "expected a solver, got quick, the name of a scene"),
+        ("verify msa", "usage: main verify [OPTIONS] DATASET"),
+    ],
+)
+def test_names_of_other_things_are_recognised(words: str, sentence: str) -> None:
+    done = CliRunner().invoke(command_line.app, words.split(), prog_name="main")
+    assert isinstance(done.exception, InputError)
+    assert sentence in str(done.exception)
 
 
 @pytest.mark.slow_but_first

@@ -1,0 +1,173 @@
+"""Command that describes a part by its name: info."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import statistics
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
+
+from sabench import plugins
+from sabench.cli import options, tables
+from sabench.cli.options import argument, say
+from sabench.utils.errors import InputError
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+    from sabench.tasks.task import Score
+
+_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+_BETTER = {"larger": "the larger, the better", "smaller": "the smaller, the better"}
+_BETTER |= {"unity": "best at 1", "steady": "neither large nor small is better"}
+
+
+def info(
+    name: Annotated[
+        str,
+        argument(
+            "NAME",
+            "Name of a solver, generator, scene, suite or score.",
+            autocompletion=options.complete(lambda: _parts()),
+        ),
+    ],
+) -> None:
+    """Describe a solver, generator, scene, suite or score."""
+    from sabench.utils.validation import nearest_word
+
+    parts = _parts()
+    if name not in parts:
+        near = nearest_word(name, parts)
+        hint = f"did you mean {near}?" if near else "sabench list has their names"
+        raise InputError(f"{name}: expected a solver, generator, scene, suite or score; {hint}")
+    for describe in parts[name]:
+        describe(name)
+
+
+def _parts() -> dict[str, list[Callable[[str], None]]]:
+    """Map names to what describes them: a scene and a suite may have the same."""
+    from sabench import tasks
+
+    scores = {score.key: None for task in tasks.every() for score in task.all_scores}
+    parts: dict[str, list[Callable[[str], None]]] = {}
+    for names, describe in (
+        (plugins.names("solvers"), _solver),
+        (plugins.names("generators"), _generator),
+        (plugins.list_scenes(), _scene),
+        (plugins.list_suites(), _suite),
+        (scores, _score),
+    ):
+        for name in names:
+            parts.setdefault(name, []).append(describe)
+    return parts
+
+
+def _generator(name: str) -> None:
+    _plug_in("generators", name)
+
+
+def _solver(name: str) -> None:
+    _plug_in("solvers", name)
+    say(_results(name) + f"\n\nsabench solve {name} DATASET -o RESULT.h5")
+
+
+def _plug_in(kind: str, name: str) -> None:
+    """Print docstring, limits, parameters and sources."""
+    entry, plugin = plugins.summarise(kind, name), plugins.load(kind, name)
+    say(f"{entry.kind} {name} ({entry.group})\n\n{inspect.getdoc(plugin)}")
+    if "skip" in vars(plugin):
+        say(f"\nLimits: {inspect.getdoc(plugin.skip)}")
+    fields = plugin.Parameters.model_fields.items()
+    if fields:
+        head = "parameter", "default", "allowed", "meaning"
+        tables.show_wrapped(head, [(key, *_field(field)) for key, field in fields])
+    for source in plugin.references:
+        say(f"Source: {source}")
+
+
+def _field(field: FieldInfo) -> tuple[str, str, str]:
+    """Give a parameter's default, choices or limits, and meaning."""
+    kinds = [field.annotation, *get_args(field.annotation)]
+    choices = [
+        str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)
+    ]
+    limits = [
+        f"{sign} {getattr(limit, key):g}"
+        for limit in field.metadata
+        for key, sign in _SIGNS.items()
+        if hasattr(limit, key)
+    ]
+    default = "" if field.is_required() else str(field.get_default(call_default_factory=True))
+    return default, ", ".join(choices + limits), field.description or ""
+
+
+def _results(name: str) -> str:
+    """Sum up a solver's place among the bundled records of its task."""
+    from sabench import tasks
+    from sabench.evaluation.records import read_records
+
+    task = tasks.of(plugins.summarise("solvers", name).group)
+    key, decimals = task.scores[0].key, task.scores[0].decimals
+    sets: dict[str, list[dict[str, Any]]] = {}
+    for row in read_records(plugins.bundled_folder("leaderboard") / "records"):
+        if row["task"] == task.name and row.get(key) is not None:
+            sets.setdefault(row["dataset"], []).append(row)
+    own = [row for rows in sets.values() for row in rows if row["solver"] == name]
+    if not own:
+        return "\nIt has no bundled results."
+    best = [min(rows, key=lambda row: task.rank({key: row[key]})) for rows in sets.values()]
+    solvers = {row["solver"] for rows in sets.values() for row in rows}
+    return (
+        f"\nIn the bundled results, {len(own)} data sets: median {task.scores[0].heading} "
+        f"{statistics.median(row[key] for row in own):.{decimals}f}, the best of {len(solvers)} "
+        f"solvers in {sum(row['solver'] == name for row in best)}; median "
+        f"{statistics.median(row['seconds'] for row in own):.2g} s a data set"
+    )
+
+
+def _scene(name: str) -> None:
+    from sabench.scenes import build_rig, find, load_scene
+
+    scene = load_scene(name)
+    size = " x ".join(f"{mm:g}" for mm in scene.volume.size_mm)
+    suites = [
+        suite
+        for suite in plugins.list_suites()
+        if f'"{name}"' in find(suite, "scenes/suites").read_text(encoding="utf-8")
+    ]
+    count = len(build_rig(scene, name).cameras)
+    say(
+        f"scene {name}\n\n{scene.title}\n\n{count} cameras of {scene.cameras.columns} x "
+        f"{scene.cameras.rows} px, a volume of {size} mm, frames: {scene.frames}\n"
+        f"Suites: {', '.join(suites) or 'none'}\n\n"
+        f"sabench plan {name}\nsabench generate {name} -o DATASET"
+    )
+
+
+def _suite(name: str) -> None:
+    from sabench.evaluation.suite_loading import load_suite
+
+    suite, cases = load_suite(name)
+    solvers = sorted({solver.name for case in cases for solver in case.solvers})
+    say(
+        f"suite {name}\n\n{suite.title}\n\n{len(cases)} data sets of "
+        f"{len({case.name for case in cases})} cases, seeds: {len(suite.seeds)}\n"
+        f"Solvers: {', '.join(solvers)}\n\nsabench run {name}"
+    )
+
+
+def _score(name: str) -> None:
+    from sabench import tasks
+
+    for task in tasks.every():
+        for score in task.all_scores:
+            if score.key == name:
+                say(f"score {name} ({task.name})\n\n{score.meaning}\n\n{_range(score)}")
+
+
+def _range(score: Score) -> str:
+    """Say in which direction a score is better, and between which values it lies."""
+    low, high = score.range
+    ends = f", from {low:g} to {high:g}" if math.isfinite(high - low) else ""
+    return f"{_BETTER[score.better]}{ends}" + (f", in {score.unit}" if score.unit else "")
