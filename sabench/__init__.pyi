@@ -10,6 +10,7 @@ from . import (
 )
 from .api.truth import Bubbles as Bubbles, Particles as Particles
 from .apps.own_calibration.calibrate import calibrate as calibrate
+from .apps.planning.plan import plan as plan
 from .apps.viewer.view import View as View, view as view
 from .dataset.import_recording import (
     ImportOptions as ImportOptions,

@@ -140,6 +140,18 @@ class Dataset(StoredFrames):
     root: Path
     contents: Contents
 
+    def __repr__(self) -> str:
+        """Say in five lines what is in it."""
+        setup, truth = self.setup, "with" if self.has_truth else "without"
+        sizes = sorted({f"{one.columns} x {one.rows}" for one in setup.cameras})
+        return (
+            f"Dataset {self.root}\n"
+            f"  frames: {setup.frames}, {setup.interval_s:g} s apart\n"
+            f"  cameras: {len(setup.cameras)} of {' and '.join(sizes)} px\n"
+            f"  shows: {', '.join(setup.shows)}, {truth} truth\n"
+            f"  hash: {self.content_hash[:12]}"
+        )
+
     @property
     def content_hash(self) -> str:
         """Hash of the bytes of this copy of the data set."""

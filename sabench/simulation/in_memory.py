@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -13,8 +14,10 @@ from sabench.scenes import Scene, build_rig
 from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import FrameContent, Frames
+from sabench.simulation.pipeline import load_checked
 from sabench.utils.arrays import U16
 from sabench.utils.backend import Renderer, choose_renderer
+from sabench.utils.errors import InputError
 from sabench.worlds.tracers import Motion
 
 
@@ -27,28 +30,32 @@ class Shot:
     views: list[ParticleView]
 
 
-def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat") -> Shot:
-    """Simulate one frame of the data set that `generate` makes; raises as it does."""
-    rig = build_rig(scene, scene.title)
-    return _simulate_frame(Frames(scene, rig, seed, choose_renderer(backend)), frame)
+def simulate(
+    scene: Scene | str | Path, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat"
+) -> Shot:
+    """Simulate one frame of the data set that `generate` makes; arguments and errors as there."""
+    return _simulate_frame(_frames(scene, seed, backend), frame)
 
 
 def simulate_sequence(
-    scene: Scene, *, seed: int = 0, backend: Renderer = "splat"
+    scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = "splat"
 ) -> Iterator[Shot]:
-    """Simulate all frames that `generate` would make, one after the other.
-
-    Raises InputError as `generate`.
-    """
-    frames = Frames(scene, build_rig(scene, scene.title), seed, choose_renderer(backend))
-    for frame in range(scene.frames):
+    """Simulate all frames that `generate` makes, one by one; arguments and errors as there."""
+    frames = _frames(scene, seed, backend)
+    for frame in range(frames.scene.frames):
         yield _simulate_frame(frames, frame)
+
+
+def _frames(scene: Scene | str | Path, seed: int, backend: Renderer) -> Frames:
+    loaded, name = load_checked(scene, None, seed)
+    if loaded.world.tracers is None:
+        raise InputError(f"{name}: expected a scene with particles")
+    return Frames(loaded, build_rig(loaded, name), seed, choose_renderer(backend))
 
 
 def _simulate_frame(frames: Frames, frame: int) -> Shot:
     scene, content = frames.scene, frames.at(frame)
-    if content.tracers is None:
-        raise ValueError(f"{scene.title}: expected a scene with particles")
+    assert content.tracers is not None
     images, views = record_frame(content)
     lowest = None
     if scene.preprocessing and takes_all_frames(scene.preprocessing):
