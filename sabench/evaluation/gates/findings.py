@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from sabench import tasks
 from sabench.evaluation.gates.baseline import (
     DATA,
     TIMES,
@@ -132,9 +133,12 @@ def _moved(
 ) -> Iterator[Finding]:
     """List the figures beyond tolerance, the missing and the new ones.
 
-    A figure that is missing now is worse, a new one is news.
+    A figure that is missing now is worse, a new one is news. The scores of a task come in its
+    order, the most important one first.
     """
-    for figure in sorted({**before, **now}):
+    scores = [] if task == DATA else [score.key for score in tasks.of(task).all_scores]
+    places = {key: place for place, key in enumerate(scores)}
+    for figure in sorted({**before, **now}, key=lambda key: (places.get(key, len(places)), key)):
         old, new = before.get(figure), now.get(figure)
         if old is None or new is None:
             if old is not new:

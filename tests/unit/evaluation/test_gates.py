@@ -90,6 +90,8 @@ def test_only_what_is_beyond_its_tolerance_is_told() -> None:
     assert found(before, case(msa=entry(q=0.7921, rms_px=0.2))) == []
     assert found(before, case(msa=entry(q=0.7919, rms_px=0.2))) == [("q", True)]
     assert found(before, case(msa=entry(q=0.8081, rms_px=0.2))) == [("q", False)]
+    both = found(before, case(msa=entry(peak_rms_px=0.1, q=0.1, rms_px=0.3)))
+    assert [figure for figure, _ in both] == ["q", "rms_px", "peak_rms_px"]  # the first score first
     # no tolerance of its own: the rule's
     assert found(before, case(msa=entry(q=0.8, rms_px=0.3))) == [("rms_px", True)]
 
