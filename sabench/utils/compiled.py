@@ -5,15 +5,53 @@ All modules with kernels import numba from here, so that the folder is set befor
 
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import event
+from numba.core import caching, event
 from numba.core.registry import cpu_target
 
+from sabench.utils.code_hash import PACKAGE
 from sabench.utils.kernel_folder import kernel_folder
 
 numba.config.CACHE_DIR = str(kernel_folder())
+
+
+class _PlaceInPackage(caching._CacheLocator):  # type: ignore[misc]
+    """Folder of a module's kernels by its place in the package.
+
+    numba's own depends on the path of the file, so that another checkout or environment would
+    compile the same sources again.
+    """
+
+    def __init__(self, function: Any, file: Path) -> None:
+        self._path = str(kernel_folder() / file.relative_to(PACKAGE).parent)
+        self._line = str(function.__code__.co_firstlineno)
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return self._path
+
+    def get_source_stamp(self) -> str:
+        """Return no stamp: the folder of all kernels has the hash of their sources."""
+        return ""
+
+    def get_disambiguator(self) -> str:
+        """Tell functions of one name apart."""
+        return self._line
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        """Find the folder of a function; None outside the package."""
+        if not Path(py_file).is_relative_to(PACKAGE):
+            return None
+        locator = cls(py_func, Path(py_file))
+        locator.ensure_cache_path()
+        return locator
+
+
+caching.CacheImpl._locator_classes.insert(0, _PlaceInPackage)
 
 
 class _CompileClock(event.Listener):  # type: ignore[misc]

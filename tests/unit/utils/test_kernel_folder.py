@@ -46,18 +46,30 @@ def write_package(folder: Path) -> Path:
     return own
 
 
+def call(folder: Path, kernels: Path) -> int:
+    own_folders = {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(kernels)}
+    words = [sys.executable, "-c", "from sabench.caller import caller; print(caller())"]
+    done = subprocess.run(
+        words, env=os.environ | own_folders, cwd=folder, capture_output=True, check=True
+    )
+    return int(done.stdout)
+
+
 @pytest.mark.slow
 def test_a_changed_callee_in_another_file_is_not_overlooked(tmp_path: Path) -> None:
     own = write_package(tmp_path)
-    own_folders = {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     for number in (1, 2):
         (own / "callee.py").write_text(CALLEE.format(number=number))
-        words = [sys.executable, "-c", "from sabench.caller import caller; print(caller())"]
-        done = subprocess.run(
-            words, env=os.environ | own_folders, cwd=tmp_path, capture_output=True, check=True
-        )
-        assert int(done.stdout) == 10 * number
+        assert call(tmp_path, tmp_path / "kernels") == 10 * number
     assert len(list((tmp_path / "kernels").rglob("caller.caller-*.nbc"))) == 2
+
+
+@pytest.mark.slow
+def test_another_copy_of_the_same_sources_compiles_nothing(tmp_path: Path) -> None:
+    for copy in ("first", "second"):
+        write_package(tmp_path / copy)
+        assert call(tmp_path / copy, tmp_path / "kernels") == 10
+        assert len(list((tmp_path / "kernels").rglob("*.nbc"))) == 2
 
 
 def test_the_hash_is_that_of_kernels_and_of_all_that_they_import(tmp_path: Path) -> None:
