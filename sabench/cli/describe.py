@@ -38,7 +38,7 @@ def info(
 
     parts = _parts()
     if name not in parts:
-        near = nearest_word(name, parts)
+        near = nearest_word(name, parts, 0.6)
         hint = f"did you mean {near}?" if near else "sabench list has their names"
         raise InputError(f"{name}: expected a solver, generator, scene, suite or score; {hint}")
     for describe in parts[name]:

@@ -91,7 +91,7 @@ _KIND_OF = {word.replace(" ", "").upper(): word for word in ("data set", "result
 
 
 def _check_kind(context: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
-    """Refuse the name of another kind of thing, as when arguments are in another order."""
+    """Refuse the name of another kind of thing: arguments may be in another order."""
     wanted = _KIND_OF[str(param.metavar)]
     kinds = _kinds_of(str(value)) if value is not None else []
     if kinds and wanted not in kinds:

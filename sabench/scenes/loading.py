@@ -36,7 +36,7 @@ def find(name: str | Path, folder: str) -> Path:
     if stem in files and direct.parent in (Path(), Path(folder), Path("suites")):
         return files[stem]
     kind = "suite" if folder == "scenes/suites" else "scene"
-    near = nearest_word(stem, files)
+    near = nearest_word(stem, files, 0.6)
     hint = f"did you mean {near}?" if near else f"sabench list --kind {kind} has their names"
     raise InputError(f"{name}: expected a file or the name of a bundled {kind}; {hint}")
 

@@ -10,11 +10,10 @@ from sabench.api import Observation
 from sabench.api.truth import Particles, ParticleView
 from sabench.dataset.reader import build_observation
 from sabench.images.preprocessing import takes_all_frames
-from sabench.scenes import Scene, build_rig
+from sabench.scenes import Scene, build_rig, load_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import FrameContent, Frames
-from sabench.simulation.pipeline import load_checked
 from sabench.utils.arrays import U16
 from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
@@ -33,24 +32,24 @@ class Shot:
 def simulate(
     scene: Scene | str | Path, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat"
 ) -> Shot:
-    """Simulate one frame of the data set that `generate` makes; arguments and errors as there."""
+    """Simulate one frame of the data set of `generate`; arguments, errors as there."""
     return _simulate_frame(_frames(scene, seed, backend), frame)
 
 
 def simulate_sequence(
     scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = "splat"
 ) -> Iterator[Shot]:
-    """Simulate all frames that `generate` makes, one by one; arguments and errors as there."""
+    """Simulate all frames of `generate`, one by one; arguments, errors as there."""
     frames = _frames(scene, seed, backend)
     for frame in range(frames.scene.frames):
         yield _simulate_frame(frames, frame)
 
 
 def _frames(scene: Scene | str | Path, seed: int, backend: Renderer) -> Frames:
-    loaded, name = load_checked(scene, None, seed)
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     if loaded.world.tracers is None:
-        raise InputError(f"{name}: expected a scene with particles")
-    return Frames(loaded, build_rig(loaded, name), seed, choose_renderer(backend))
+        raise InputError(f"{loaded.title}: expected a scene with particles")
+    return Frames(loaded, build_rig(loaded, loaded.title), seed, choose_renderer(backend))
 
 
 def _simulate_frame(frames: Frames, frame: int) -> Shot:

@@ -118,9 +118,9 @@ def _texts(
         yield [], kind, f"{text}, got {printable(repr(fault['input']))}"
 
 
-def nearest_word(word: str, words: Iterable[str]) -> str | None:
-    """Find the known word that a misspelt one most likely stands for."""
-    near = difflib.get_close_matches(word, list(words), 1, 0.4)
+def nearest_word(word: str, words: Iterable[str], alike: float = 0.4) -> str | None:
+    """Find the known word that a misspelt one, at least so alike, stands for."""
+    near = difflib.get_close_matches(word, list(words), 1, alike)
     return near[0] if near else None
 
 

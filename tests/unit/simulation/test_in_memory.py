@@ -14,7 +14,7 @@ def test_a_scene_may_be_a_name_and_gives_the_images_of_its_data_set(quick: Datas
 
 
 def test_a_scene_without_particles_is_refused() -> None:
-    with refused("standard-bubbles", "expected a scene with particles"):
+    with refused("expected a scene with particles"):
         sabench.simulate("standard-bubbles")
 
 
