@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-import math
+import itertools
 import statistics
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
@@ -108,21 +108,22 @@ def _results(name: str) -> str:
     from sabench.evaluation.records import read_records
 
     task = tasks.of(plugins.summarise("solvers", name).group)
-    key, decimals = task.scores[0].key, task.scores[0].decimals
+    score = task.scores[0]
     sets: dict[str, list[dict[str, Any]]] = {}
     for row in read_records(plugins.bundled_folder("leaderboard") / "records"):
-        if row["task"] == task.name and row.get(key) is not None:
+        if row["task"] == task.name and row.get(score.key) is not None:
             sets.setdefault(row["dataset"], []).append(row)
     own = [row for rows in sets.values() for row in rows if row["solver"] == name]
     if not own:
-        return "\nIt has no bundled results."
-    best = [min(rows, key=lambda row: task.rank({key: row[key]})) for rows in sets.values()]
+        return "\nThe records of the leaderboard do not have it."
+    best = [row for row in own if task.rank(row) == min(map(task.rank, sets[row["dataset"]]))]
     solvers = {row["solver"] for rows in sets.values() for row in rows}
+    seconds = [row["seconds"] for row in own if row["seconds"] is not None]
+    took = f"; median time {statistics.median(seconds):.2g} s" if seconds else ""
     return (
-        f"\nIn the bundled results, {len(own)} data sets: median {task.scores[0].heading} "
-        f"{statistics.median(row[key] for row in own):.{decimals}f}, the best of {len(solvers)} "
-        f"solvers in {sum(row['solver'] == name for row in best)}; median "
-        f"{statistics.median(row['seconds'] for row in own):.2g} s a data set"
+        f"\nIn the records of the leaderboard, {len(own)} results: median {score.heading} "
+        f"{statistics.median(row[score.key] for row in own):.{score.decimals}f}; best of the "
+        f"{len(solvers)} solvers, or as good as the best, in {len(best)}{took}"
     )
 
 
@@ -158,16 +159,25 @@ def _suite(name: str) -> None:
 
 
 def _score(name: str) -> None:
+    """Print a score's meaning in each task; some follow on the score before them."""
     from sabench import tasks
 
+    texts: dict[str, list[str]] = {}
     for task in tasks.every():
-        for score in task.all_scores:
-            if score.key == name:
-                say(f"score {name} ({task.name})\n\n{score.meaning}\n\n{_range(score)}")
+        for before, score in itertools.pairwise((None, *task.all_scores)):
+            if score is not None and score.key == name:
+                own = before is not None and score in task.scores
+                after = f"\n(it follows {before.key}: {before.meaning})" if before and own else ""
+                text = f"{score.meaning}{after}\n\n{_range(score)}"
+                texts.setdefault(text, []).append(task.name)
+    for text, names in texts.items():
+        say(f"score {name} ({', '.join(names)})\n\n{text}")
 
 
 def _range(score: Score) -> str:
     """Say in which direction a score is better, and between which values it lies."""
+    from sabench.tasks.task import ANY, ERROR
+
     low, high = score.range
-    ends = f", from {low:g} to {high:g}" if math.isfinite(high - low) else ""
+    ends = "" if score.range in (ANY, ERROR) else f", from {low:g} to {high:g}"
     return f"{_BETTER[score.better]}{ends}" + (f", in {score.unit}" if score.unit else "")

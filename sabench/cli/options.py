@@ -106,10 +106,13 @@ def _check_kind(context: typer.Context, param: typer.CallbackParam, value: Any) 
 
 def _kinds_of(word: str) -> list[str]:
     """Find what a word names: a data set, a result, or parts of sabench."""
+    from sabench.dataset.schema import MANIFEST  # they take long to load
+    from sabench.utils.files import is_file
+
     path = Path(word)
     named = {
-        "data set": (path / "manifest.json").is_file(),
-        "result": path.suffix == ".h5" and path.is_file(),
+        "data set": is_file(path / MANIFEST),
+        "result": path.suffix == ".h5" and is_file(path),
         "solver": word in plugins.names("solvers"),
         "scene": word in plugins.list_scenes(),
         "suite": word in plugins.list_suites(),

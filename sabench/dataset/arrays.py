@@ -17,7 +17,10 @@ _CHUNK = 256  # voxels along a side of the pieces in which volumes are compresse
 
 
 def group_of(kind: type[Arrays], frame: int = 0, which: str | int = "") -> str:
-    """Name the group of arrays in a file; `which` of several, as a camera's name."""
+    """Name the group of arrays in a file.
+
+    `which` is one of several, such as a camera's name.
+    """
     names = (schema.frame_group(frame) if kind.OF_FRAME else "", kind.GROUP.format(which))
     return "/".join(name for name in names if name)
 

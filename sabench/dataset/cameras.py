@@ -352,7 +352,10 @@ def list_cameras(cameras: Sequence[CameraModel], **keys: Any) -> dict[str, Any]:
 
 
 def _camera_entry(camera: CameraModel) -> dict[str, Any]:
-    """Make a camera's entry; a pinhole's has no wall and no model, the default."""
+    """Make a camera's entry.
+
+    The entry of a pinhole leaves out the wall and the model, which is the default.
+    """
     record = record_camera(camera)
     if isinstance(camera, Camera):
         del record["model"], record["wall"]

@@ -143,10 +143,12 @@ class Dataset(StoredFrames):
     def __repr__(self) -> str:
         """Say in five lines what is in it."""
         setup, truth = self.setup, "with" if self.has_truth else "without"
+        even = setup.frames > 1 and setup.times_s is None
+        apart = f", {setup.interval_s:g} s apart" if even else ""
         sizes = sorted({f"{one.columns} x {one.rows}" for one in setup.cameras})
         return (
             f"Dataset {self.root}\n"
-            f"  frames: {setup.frames}, {setup.interval_s:g} s apart\n"
+            f"  frames: {setup.frames}{apart}\n"
             f"  cameras: {len(setup.cameras)} of {' and '.join(sizes)} px\n"
             f"  shows: {', '.join(setup.shows)}, {truth} truth\n"
             f"  hash: {self.content_hash[:12]}"
@@ -249,7 +251,10 @@ class Dataset(StoredFrames):
         return read_references(self.root)
 
     def radiance(self, frame: int) -> list[F32]:
-        """Read the true noise-free radiance of every camera, photons / (mm2 sr)."""
+        """Read the noise-free radiance of every camera, photons / (mm2 sr).
+
+        It is truth, not for solvers.
+        """
         self._check_frame(frame)
         return [
             read_exr(

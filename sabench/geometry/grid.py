@@ -74,7 +74,10 @@ class Grid:
         return z, y, x
 
     def in_scored(self, voxels: F64) -> Bool:
-        """Mark fractional voxel indices (n, 3) in the scored part's cells."""
+        """Mark fractional voxel indices (n, 3) in the scored part.
+
+        Each voxel is a cell around its centre.
+        """
         low = np.asarray(self.crop) - 0.5
         high = np.asarray(self.shape[::-1]) - np.asarray(self.crop) - 0.5
         return np.asarray(((voxels >= low) & (voxels < high)).all(axis=1))

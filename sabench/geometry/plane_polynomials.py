@@ -90,7 +90,10 @@ def lowest_degree(function: Smooth) -> int:
 
 
 def terms(points: F64, degree: int) -> F64:
-    """Compute u^i v^j (n, terms), i + j <= degree, at points (n, 2), by j, then i."""
+    """Compute monomials u^i v^j (n, terms) with i + j <= degree at points (n, 2).
+
+    They are ordered by j, then i.
+    """
     u, v = points[:, 0], points[:, 1]
     return np.stack([u**i * v**j for j in range(degree + 1) for i in range(degree + 1 - j)], axis=1)
 

@@ -9,7 +9,10 @@ from sabench.utils.vector_units import fill_edges, fill_edges_and_slopes
 
 @numba.njit(cache=True)
 def fill_shares(center: float, sigma: float, first: int, pixels: int, shares: Any) -> None:
-    """Fill in a Gaussian's shares (lane,) from pixel `first` on, to 1e-8, then zeros."""
+    """Fill in shares (lane,) of a Gaussian from pixel `first` on, then zeros.
+
+    Shares are exact to 1e-8.
+    """
     step = 1.0 / (sigma * math.sqrt(2.0))
     fill_edges(shares, (first - 0.5 - center) * step, step, pixels)
 

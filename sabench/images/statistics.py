@@ -194,7 +194,10 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
 
 
 def measure_noise(stack: U16) -> tuple[float, float, float]:
-    """Measure a stack's `fixed`, `fixed_near`, `temporal` (see `CameraStatistics`)."""
+    """Measure `fixed`, `fixed_near` and `temporal` noise of a stack.
+
+    See `CameraStatistics`.
+    """
     import cv2
 
     quarter = len(stack) // 4

@@ -251,6 +251,9 @@ class Inertia(Table):
         return np.asarray(excess * diameter_mm**2 / (18.0 * self.viscosity_mm2_s))
 
     def relaxation_s(self, diameter_mm: F64) -> F64:
-        """Compute particles' relaxation time, (2 rho_p / rho_f + 1) d^2 / (36 nu)."""
+        """Compute the particles' relaxation time with added mass.
+
+        (2 rho_p / rho_f + 1) d^2 / (36 nu).
+        """
         mass = 2.0 * self.particle_density_kg_m3 / self.fluid_density_kg_m3 + 1.0
         return np.asarray(mass * diameter_mm**2 / (36.0 * self.viscosity_mm2_s))

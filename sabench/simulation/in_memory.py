@@ -32,14 +32,20 @@ class Shot:
 def simulate(
     scene: Scene | str | Path, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat"
 ) -> Shot:
-    """Simulate one frame of the data set of `generate`; arguments, errors as there."""
+    """Simulate one frame of the data set that `generate` makes.
+
+    Arguments and errors are those of `generate`.
+    """
     return _simulate_frame(_frames(scene, seed, backend), frame)
 
 
 def simulate_sequence(
     scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = "splat"
 ) -> Iterator[Shot]:
-    """Simulate all frames of `generate`, one by one; arguments, errors as there."""
+    """Simulate all frames of the data set that `generate` makes.
+
+    They come one after the other. Arguments and errors are those of `generate`.
+    """
     frames = _frames(scene, seed, backend)
     for frame in range(frames.scene.frames):
         yield _simulate_frame(frames, frame)

@@ -43,11 +43,15 @@ class _PlaceInPackage(caching._CacheLocator):  # type: ignore[misc]
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
-        """Find the folder of a function; None outside the package."""
-        if not Path(py_file).is_relative_to(PACKAGE):
+        """Find the folder of a function; None if the hash of sources leaves out its file."""
+        file = Path(py_file)
+        if not file.is_relative_to(PACKAGE) or "_plugins" in file.parts:
             return None
-        locator = cls(py_func, Path(py_file))
-        locator.ensure_cache_path()
+        locator = cls(py_func, file)
+        try:
+            locator.ensure_cache_path()
+        except OSError:  # numba's own come next
+            return None
         return locator
 
 

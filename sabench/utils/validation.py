@@ -119,7 +119,10 @@ def _texts(
 
 
 def nearest_word(word: str, words: Iterable[str], alike: float = 0.4) -> str | None:
-    """Find the known word that a misspelt one, at least so alike, stands for."""
+    """Find the known word that a misspelt one most likely stands for.
+
+    None if no word is so `alike`, from 0 (anything) to 1 (equal).
+    """
     near = difflib.get_close_matches(word, list(words), 1, alike)
     return near[0] if near else None
 

@@ -233,7 +233,10 @@ def without_wrong_cameras(
 
 
 def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
-    """Warn of cameras whose images are longer streaks than the model's."""
+    """Warn of cameras with images that are longer streaks than the model's.
+
+    Cameras with too few particles are left out.
+    """
     if search.number < FEW:
         return
     for camera, tilt in zip(np.flatnonzero(search.shown).tolist(), search.tilt, strict=True):

@@ -24,7 +24,10 @@ _LINES = 64  # lines filtered side by side, so that the recursion runs over cont
 
 
 def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
-    """Compute coefficients (n, rows + 3, columns + 3) of the mirrored B-spline."""
+    """Compute coefficients (n, rows + 3, columns + 3) of the B-spline.
+
+    It is mirrored at the borders.
+    """
     if spline == LINEAR:
         return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
     count, rows, columns = images.shape

@@ -166,7 +166,10 @@ def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> floa
 
 
 def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> tuple[F64, int]:
-    """Fit pixels over rectified images: polynomials (camera, 2, terms), degree."""
+    """Fit pixels over rectified images as polynomials (camera, 2, terms).
+
+    Their degree is the second value.
+    """
     height, width = slab.shape
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     functions = []

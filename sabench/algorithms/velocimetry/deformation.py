@@ -94,7 +94,10 @@ def _filter_rows(plane: Any, pole: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _cubic(part: Any) -> Any:
-    """Compute weights of the four nearest coefficients, a fraction from the second."""
+    """Compute weights of the four nearest coefficients.
+
+    The argument is the fraction from the second one.
+    """
     rest = np.float32(1.0) - part
     sixth = np.float32(1.0 / 6.0)
     outer, inner = rest * rest * rest * sixth, part * part * part * sixth
@@ -208,7 +211,10 @@ def _is_beyond(voxel: int, part: Any, count: int) -> bool:
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
-    """Find the voxel (x, y, z), x from its own, and fraction where each is read."""
+    """Find the voxel (x, y, z) and fraction where each one is read.
+
+    x is relative to its own.
+    """
     last = len(row) - 1
     for x in range(positions.shape[1]):
         at = (x - origin) / step

@@ -127,7 +127,10 @@ def _stride(count: int, part: float) -> int:
 
 @dr.syntax
 def _trace(scene: Any, ray: Any, target: Any) -> Any:
-    """Trace rays to a matte surface under lamps; interfaces transmit as Mitsuba's."""
+    """Trace the radiance along rays to a matte surface under the lamps.
+
+    Interfaces transmit by Mitsuba's rules.
+    """
     ray = mi.Ray3f(ray)
     result, weight = mi.Float(0.0), mi.Float(1.0)
     crossed, active = mi.UInt32(0), mi.Bool(True)

@@ -108,6 +108,7 @@ def test_help_shows_no_types_of_flags() -> None:
         ("msa", ["solver msa (reconstruction)", "exponent", "> 0, <= 1", "Belden", "median Q"]),
         ("uniform", ["generator uniform (particles)", "per_pixel", "0.05"]),
         ("quick", ["scene quick", "4 cameras of 320 x 240 px", "suite quick", "Solvers: asa, msa"]),
+        ("rms_mm", ["score rms_mm (particles)", "(it follows rms_px: root mean square distance"]),
         ("q", ["score q (reconstruction)", "the larger, the better, from -1 to 1"]),
     ],
 )
@@ -125,6 +126,7 @@ def test_parts_are_described_by_their_names(name: str, told: list[str]) -> None:
         ("generate msa -o d", "expected a scene, got msa, the name of a solver"),
         ("solve quick msa -o r.h5", "expected a solver, got quick, the name of a scene"),
         ("verify msa", "usage: main verify [OPTIONS] DATASET"),
+        (f"generate {'a' * 300} -o d", "expected a file's name"),
     ],
 )
 def test_names_of_other_things_are_recognised(words: str, sentence: str) -> None:

@@ -7,7 +7,7 @@ from sabench.dataset.reader import Dataset
 from tests.helpers.refusals import refused
 
 
-def test_a_scene_may_be_a_name_and_gives_the_images_of_its_data_set(quick: Dataset) -> None:
+def test_a_scene_may_be_a_name_and_gives_the_particles_of_its_data_set(quick: Dataset) -> None:
     shot = sabench.simulate("quick", seed=quick.manifest.seed, backend="splat")
     truth = quick.particles(0).position_mm
     assert np.array_equal(shot.particles.position_mm, truth)
@@ -23,3 +23,4 @@ def test_a_data_set_shows_itself_in_five_lines(quick: Dataset) -> None:
     assert len(lines) == 5
     assert "cameras: 4 of 320 x 240 px" in repr(quick)
     assert "particles, with truth" in repr(quick)
+    assert "apart" not in repr(quick)  # it has one frame

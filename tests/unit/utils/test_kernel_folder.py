@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import sabench
-from sabench.utils import kernel_folder
+from sabench.utils import compiled, kernel_folder
 from sabench.utils.compiled import numba
 from sabench.utils.kernel_folder import hash_sources
 
@@ -87,6 +87,15 @@ def test_numba_stores_kernels_there() -> None:
     folder = kernel_folder.kernel_folder()
     assert str(folder) == numba.config.CACHE_DIR
     assert folder.name.startswith("kernels-")
+
+
+def test_kernels_of_plug_ins_have_folders_of_their_own() -> None:
+    """The hash that names the shared folder leaves them out: see `hash_sources`."""
+    package = Path(compiled.__file__).parents[1]
+    inside, plug_in = package / "utils" / "a.py", package / "_plugins" / "solvers" / "a.py"
+    here = compiled._PlaceInPackage.from_function(write_package, str(inside))
+    assert Path(here.get_cache_path()) == kernel_folder.kernel_folder() / "utils"
+    assert compiled._PlaceInPackage.from_function(write_package, str(plug_in)) is None
 
 
 def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
