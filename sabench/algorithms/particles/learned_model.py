@@ -41,9 +41,6 @@ _ERROR = 0.2  # of the first widths and tilts, and of tilts over the box: their 
 _WIDTH_CHANGE = 0.05  # of widths over the box
 _TILTED = 0.2  # correlation somewhere in the box that loses particles
 _FLAT = 0.01  # flatness: isolated Gaussians show up to 0.005, discs of 2.5 px 0.03
-_SHAPE_ERRORS = np.array(
-    [[_ERROR, *[_WIDTH_CHANGE] * 3, _ERROR]] * 2 + [[_ERROR] * TERMS, [MOST_FLAT] * TERMS]
-)
 _LONGEST = 0.25  # of these errors: a step; with whole ones, realistic images have more ghosts
 
 # Variance of pixels:
@@ -107,7 +104,9 @@ def learn_widths(search: ParticleSearch) -> None:
     particles = ModelParticles(*(each[lone] for each in search.particles()))
     areas = search.sigma.prod(axis=1)
     units = np.column_stack([search.sigma, areas, np.ones(cameras)])[:, :, None]
-    errors, unknowns = _SHAPE_ERRORS * units, SHAPES * TERMS
+    widths = [_ERROR, *[_WIDTH_CHANGE] * 3, _ERROR]
+    expected = [widths, widths, [_ERROR] * TERMS, [MOST_FLAT] * TERMS]
+    errors, unknowns = np.array(expected) * units, SHAPES * TERMS
     for _ in range(_STEPS):
         each = model, search.widest, particles
         sums = sum_in_cameras(add_shape_misses, *each, (unknowns, unknowns + 1))

@@ -30,13 +30,13 @@ GATE = 20.0
 NEIGHBOUR_REACH = 3.0
 # largest difference of related neighbours' displacements, in the same unit
 ALIKE = 0.4
-NEIGHBOURS = 8  # whose displacements a trajectory is compared with
+# whose displacements a trajectory is compared with; as many links or predictions measure errors
+NEIGHBOURS = 8
 # candidates of one trajectory: several times what is within the radius where bubbles are evenly
 # spread, and a bound where they are not
 _MOST = 100
 # least and largest errors of predictions: in the same unit, and of the logarithm of radii
 _POSITION_ERROR, _SIZE_ERROR = (0.05, 0.2), (0.03, 0.15)
-ENOUGH = 8  # links, or predictions, for a measurement of errors or motion
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ def _unlike(live: _Trajectories, points: _Points, row: I64, column: I64, scale: 
 def _estimate_scale(scale: _Scale, linked: _Trajectories, points: _Points, j: I64) -> _Scale:
     """Estimate errors of predictions: the median magnitude, as of normal errors."""
     old = ~linked.young
-    if old.sum() < ENOUGH:
+    if old.sum() < NEIGHBOURS:
         return scale
     tracks, j = linked[old], j[old]
     ahead = tracks.position + tracks.velocity * (points.time[j] - tracks.time)[:, None]
