@@ -17,7 +17,8 @@ of larger tiles. If they show one noise, bright pixels are left out with a squar
 others measured again, and so on. If the darker ones show less noise, light covers the others: of
 dense particles, if many pixels are brighter than the darkest ones' noise and neighbours are alike.
 Then the largest share counts that shows as little noise as the smallest. Else noise is smoothed, or
-the background has dark parts: bright pixels are left out, beginning with all.
+the background has dark parts: bright pixels are left out, beginning with all. Where black hides
+every quantile that counts, all would show light: the first 30 % begin, and may show too little.
 
 Stopping. When the noise no longer falls, or when few pixels remain.
 
@@ -99,6 +100,7 @@ def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
     particle on two pixels.
     """
     import cv2  # takes long to load
+    from scipy.special import ndtr
 
     if images.ndim != 3 or not images.size:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
@@ -111,6 +113,10 @@ def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
     known = counts.sum()
     shares = [share for share in _SHARES if share * known >= FEWEST] or _SHARES[:1]
     calm = [_measure_calm(images, counts, around, step, share) for share in shares]
+    black = images == images.min(initial=np.iinfo(np.uint16).max, where=counts)
+    hidden = (counts & black).sum() > ndtr(_HIGH_Z) * known  # all quantiles that count
+    if hidden:
+        return _leave_out_bright(images, counts, step, calm[0], most=np.inf)
     if calm[0].reach <= _LIGHT * min(noise.reach for noise in calm):
         return _leave_out_bright(images, counts, step, calm[0])
     bright = counts & (images > calm[-1].threshold())
@@ -137,11 +143,16 @@ def _measure_calm(images: U16, counts: Bool, around: F32, step: float, share: fl
     return _measure(images, calm, step, edge)
 
 
-def _leave_out_bright(images: U16, counts: Bool, step: float, noise: DarkNoise) -> DarkNoise:
-    """Measure pixels far from bright ones, as long as the noise falls."""
+def _leave_out_bright(
+    images: U16, counts: Bool, step: float, noise: DarkNoise, most: float = _LIGHT
+) -> DarkNoise:
+    """Measure pixels far from bright ones, as long as the noise falls.
+
+    At first it may grow `most` times.
+    """
     import cv2  # takes long to load
 
-    halo, most = np.ones((_AROUND_PX, _AROUND_PX), np.uint8), _LIGHT
+    halo = np.ones((_AROUND_PX, _AROUND_PX), np.uint8)
     while True:
         bright = (images >= noise.threshold()).astype(np.uint8)
         dark = counts & ~np.stack([cv2.dilate(frame, halo) > 0 for frame in bright])

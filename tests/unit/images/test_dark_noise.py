@@ -117,6 +117,13 @@ def test_dim_particles_are_no_noise_where_black_cuts_it(below: float) -> None:
     assert 1.3 < np.median(found.noise) < 2.4
 
 
+def test_noise_is_found_in_small_images_of_which_black_hides_most() -> None:
+    for seed in range(20, 40):
+        rng = np.random.default_rng(seed)
+        image = grey(normal(rng, -1.5, 1.5) + 16.0 * particles(5000, seed)[1], 8)
+        assert 0.7 < np.median(measure_dark_noise(image[None, :120, :140]).noise) / 1.5 < 1.4
+
+
 @pytest.mark.parametrize("below", [0.0, 1.5])
 def test_noise_that_black_cuts_is_measured_and_no_other(below: float) -> None:
     dark = normal(np.random.default_rng(18), -below, 1.5) + 30.0 * particles(2000)[1]
