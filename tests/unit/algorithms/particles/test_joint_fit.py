@@ -200,6 +200,14 @@ def test_covariances_are_learned_in_spite_of_outliers() -> None:
     assert_allclose(joint_fit.learn_covariance(logs), true, atol=0.05)
 
 
+@pytest.mark.parametrize("cameras", [3, 9])
+def test_a_covariance_is_not_too_small(cameras: int) -> None:
+    true = joint_fit.even_covariance(cameras, 0.1, 0.3)
+    logs = np.random.default_rng(3).multivariate_normal(np.zeros(cameras), true, 50_000)
+    found = joint_fit.learn_covariance(logs) - joint_fit.OWN_ERROR**2 * np.eye(cameras)
+    assert_allclose(found, true, rtol=0.03)
+
+
 def test_scatter_between_cameras_leaves_out_what_they_share() -> None:
     assert joint_fit.scatter_between(joint_fit.even_covariance(5, 0.3, 2.0)) == pytest.approx(0.3)
     assert joint_fit.scatter_between(np.array([[0.2]])) == pytest.approx(math.sqrt(0.2))
