@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -149,10 +150,13 @@ def generate(
     If interrupted, run the same command again to resume.
     """
     from sabench.scenes import load_scene
+    from sabench.scenes.usual import unusual_values
     from sabench.simulation.pipeline import generate as make
 
     options.announce_compiling()
     loaded = load_scene(scene)
+    for key, sentence in unusual_values(loaded):
+        print(f"warning: {scene}: {key}: {sentence}", file=sys.stderr)
     loaded = loaded if frames is None else loaded.with_frames(frames)
     common: dict[str, Any] = {
         "seed": seed,

@@ -19,6 +19,7 @@ from sabench.apps.planning.viewing import Advice, Quantity, Section, Viewing, co
 from sabench.geometry.common_view import lattice_of
 from sabench.scenes import Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
+from sabench.scenes.usual import unusual_values
 from sabench.simulation.frames import Frames
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
@@ -177,8 +178,9 @@ class Plan:
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """Warnings of all sections."""
-        return tuple(warning for section in self.sections for warning in section.advice)
+        """Warnings of all sections; only those of values that no rig has, if there are any."""
+        unusual = tuple(Advice(key, sentence) for key, sentence in unusual_values(self.scene))
+        return unusual or tuple(one for section in self.sections for one in section.advice)
 
     def to_dict(self) -> dict[str, Any]:
         """Give all figures and warnings as JSON holds them."""
