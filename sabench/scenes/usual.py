@@ -23,7 +23,7 @@ _UNITS["nm"] = {"micrometres": 1e3, "millimetres": 1e6, "metres": 1e9}
 
 
 def unusual_values(scene: Scene) -> list[tuple[str, str]]:
-    """List keys with values that no rig has, each with a sentence and the unit that would fit."""
+    """List keys whose values no rig has, with a sentence and the unit that would fit."""
     return [
         (key, _sentence(key, value, *_USUAL[key]))
         for key, value in dict(_numbers("", scene.to_dict())).items()
@@ -32,7 +32,7 @@ def unusual_values(scene: Scene) -> list[tuple[str, str]]:
 
 
 def _numbers(key: str, value: Any) -> list[tuple[str, float]]:
-    """List the numbers of a table by key, without places in lists and names of cameras."""
+    """List the numbers of a table by key, without places in lists."""
     if isinstance(value, dict):
         pairs = [(f"{key}.{name}".removeprefix("."), one) for name, one in value.items()]
         return [pair for name, one in pairs for pair in _numbers(name, one)]

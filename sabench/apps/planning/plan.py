@@ -178,7 +178,7 @@ class Plan:
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """Warnings of all sections; only those of values that no rig has, if there are any."""
+        """Warnings of values that no rig has or, without any, of all sections."""
         unusual = tuple(Advice(key, sentence) for key, sentence in unusual_values(self.scene))
         return unusual or tuple(one for section in self.sections for one in section.advice)
 
