@@ -1,13 +1,11 @@
 // Multiplicative synthetic aperture refocusing through a plane wall: a program that takes part in
-// sabench, in C++17 with libhdf5's C interface.
+// sabench, in C++17 without any library.
 //
 //   synthetic_aperture DATASET RESULT [k=3]
 //
-// It reads cameras.json, manifest.json and the uncompressed 16-bit TIFF images by itself;
-// docs/developing/participate.md is the contract. The algorithm is that of
+// It reads cameras.json and the uncompressed 16-bit TIFF images by itself, and writes volumes as
+// .npy; docs/developing/participate.md is the contract. The algorithm is that of
 // ../python/synthetic_aperture.py, line by line.
-
-#include <hdf5.h>
 
 #include <algorithm>
 #include <array>
@@ -38,7 +36,7 @@ static std::string read_file(const std::string& path) {
     return out.str();
 }
 
-// ---- JSON: objects, arrays, strings, numbers, words; as much as the two files need --------------
+// ---- JSON: objects, arrays, strings, numbers, words; as much as the file needs --------------
 
 struct Json {
     enum Kind { null, number, text, array, object } kind = null;
@@ -343,7 +341,7 @@ struct Rig {
     std::vector<Camera> cameras;
     Wall wall;
     Vec low{}, voxel{};
-    std::array<hsize_t, 3> shape{};  // z, y, x
+    std::array<size_t, 3> shape{};  // z, y, x
     double black = 0.0;
     int frames = 0;
 
@@ -354,7 +352,7 @@ struct Rig {
         if (file.has("preprocessing") && !file["preprocessing"].items.empty())
             throw std::runtime_error("preprocessing: this program takes raw images only");
         for (const Json& camera : file["cameras"].items) cameras.emplace_back(camera);
-        for (int i = 0; i < 3; i++) shape[i] = hsize_t(file["grid"]["shape"].items.at(i).value);
+        for (int i = 0; i < 3; i++) shape[i] = size_t(file["grid"]["shape"].items.at(i).value);
         black = file["sensor"]["black_dn"].value;
         frames = int(file["frames"].value);
     }
@@ -391,51 +389,29 @@ static std::vector<float> refocus(const Rig& rig, const std::vector<Image>& imag
 
 // ---- the result file ----------------------------------------------------------------------------
 
-static hid_t checked(hid_t id) {
-    if (id < 0) throw std::runtime_error("HDF5: the result cannot be written");
-    return id;
-}
-
+// A .npy file: a line that says what follows, and volumes (frame, z, y, x) as a processor holds them.
 class ResultFile {
  public:
-    explicit ResultFile(const std::string& path)
-        : file_(checked(H5Fcreate(path.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT))) {}
-    ~ResultFile() { H5Fclose(file_); }
-
-    void attribute(const char* name, const std::string& value) {
-        hid_t type = checked(H5Tcopy(H5T_C_S1)), space = checked(H5Screate(H5S_SCALAR));
-        H5Tset_size(type, value.size());
-        H5Tset_cset(type, H5T_CSET_UTF8);
-        put(name, type, space, value.data());
-        H5Tclose(type);
-    }
-    void attribute(const char* name, int value) {
-        put(name, H5T_NATIVE_INT, checked(H5Screate(H5S_SCALAR)), &value);
+    ResultFile(const std::string& path, int frames, const std::array<size_t, 3>& shape)
+        : file_(path, std::ios::binary) {
+        std::string head = "{'descr': '<f4', 'fortran_order': False, 'shape': (" +
+                           std::to_string(frames) + ", ";
+        for (size_t edge : shape) head += std::to_string(edge) + ", ";
+        head += ")}";
+        head.resize((head.size() + 10) / 64 * 64 + 64 - 10 - 1, ' ');  // 10 bytes come before
+        head += '\n';
+        file_.write("\x93NUMPY\x01\x00", 8);
+        file_.put(char(head.size() % 256)).put(char(head.size() / 256)) << head;
     }
 
-    void volume(int frame, const std::array<hsize_t, 3>& shape, const std::vector<float>& values) {
-        char name[64];
-        std::snprintf(name, sizeof name, "frames/%04d/volume", frame);
-        hid_t links = checked(H5Pcreate(H5P_LINK_CREATE)),
-              how = checked(H5Pcreate(H5P_DATASET_CREATE)),
-              space = checked(H5Screate_simple(3, shape.data(), nullptr));
-        H5Pset_create_intermediate_group(links, 1);
-        const hsize_t chunk[3] = {1, shape[1], shape[2]};
-        H5Pset_chunk(how, 3, chunk);
-        H5Pset_deflate(how, 1);
-        hid_t data =
-            checked(H5Dcreate2(file_, name, H5T_NATIVE_FLOAT, space, links, how, H5P_DEFAULT));
-        checked(H5Dwrite(data, H5T_NATIVE_FLOAT, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()));
-        H5Dclose(data), H5Sclose(space), H5Pclose(how), H5Pclose(links);
+    void add(const std::vector<float>& volume) {
+        file_.write(reinterpret_cast<const char*>(volume.data()),
+                    std::streamsize(volume.size() * sizeof(float)));
+        if (!file_.flush()) throw std::runtime_error("the result cannot be written");
     }
 
  private:
-    void put(const char* name, hid_t type, hid_t space, const void* value) {
-        hid_t made = checked(H5Acreate2(file_, name, type, space, H5P_DEFAULT, H5P_DEFAULT));
-        checked(H5Awrite(made, type, value));
-        H5Aclose(made), H5Sclose(space);
-    }
-    hid_t file_;
+    std::ofstream file_;
 };
 
 static double parameter(int count, char** words, const std::string& name, double otherwise) {
@@ -447,11 +423,7 @@ static double parameter(int count, char** words, const std::string& name, double
 
 static void solve(const std::string& dataset, const std::string& out, double k) {
     Rig rig(read_json(dataset + "/cameras.json"));
-    ResultFile result(out);
-    result.attribute("format", std::string("sabench-result"));
-    result.attribute("version", 2);
-    result.attribute("dataset", read_json(dataset + "/manifest.json")["content_hash"].string);
-    result.attribute("solver", std::string("C++ example"));
+    ResultFile result(out, rig.frames, rig.shape);
     for (int frame = 0; frame < rig.frames; frame++) {
         std::vector<Image> images;
         for (const Camera& camera : rig.cameras) {
@@ -459,7 +431,7 @@ static void solve(const std::string& dataset, const std::string& out, double k) 
             std::snprintf(folder, sizeof folder, "/images/frame_%04d/", frame);
             images.push_back(normalised(dataset + folder + camera.name + ".tif", rig.black));
         }
-        result.volume(frame, rig.shape, refocus(rig, images, k));
+        result.add(refocus(rig, images, k));
     }
 }
 

@@ -18,6 +18,7 @@ from sabench import plugins, tasks
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.dataset.verification import probe
+from sabench.tasks.plain_results import is_plain, write_plain
 from sabench.tasks.visible_files import open_sandbox, view_of_program
 from sabench.utils.errors import InputError
 from sabench.utils.files import clear_abandoned, is_file, refuse_existing
@@ -93,6 +94,11 @@ def run_program(
             path.name,
             view_of_program(sandbox, dataset, path),
         )
+        if is_plain(sandbox.result):
+            doing, plain = f"result of {path.name}", sandbox.observation.with_name("plain.h5")
+            each = sandbox.result, dataset.root, plain, path.name
+            call_isolated(write_plain, *each, doing=doing, time_s=ProgramLimits.time_s)
+            plain.replace(sandbox.result)
         result = open_foreign(sandbox.result, dataset, path.name)
         head = replace(
             result,
