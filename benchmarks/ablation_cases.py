@@ -21,6 +21,8 @@ from benchmarks.ablation_rules import ROOT
 from benchmarks.particle_scores import score_particles
 from sabench.api import Camera, ImageSequence
 from sabench.api.make import make_algorithm
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import SceneCase
 from sabench.images.dark_noise import measure_dark_noise
 from sabench.scenes import find, parse_scene
 from sabench.simulation.in_memory import Shot, simulate, simulate_sequence
@@ -82,6 +84,13 @@ def one(scene: Callable[[], Any]) -> Callable[[int], Truth]:
 def plain(per_pixel: float, **changes: Any) -> Callable[[int], Truth]:
     """Make a case of one frame of the small scene, with changes."""
     return one(lambda: small_scene(per_pixel, **changes))
+
+
+def of_suite(name: str) -> Callable[[int], Truth]:
+    """Make a case of suite `particles` in its whole size: small images do not show everything."""
+    cases = [case for case in load_suite("particles")[1] if isinstance(case, SceneCase)]
+    scenes = {case.name: case.scene for case in cases}
+    return one(lambda: scenes[name])
 
 
 def discs(per_pixel: float, radius_px: float) -> Callable[[int], Truth]:
@@ -272,6 +281,8 @@ PARTICLES = {
         ),
         _BAYES,
     ),
+    "noise, whole images": Case(of_suite("noise"), _BAYES),
+    "realistic, nine cameras": Case(of_suite("realistic"), _BAYES),
     "dim 8 bits": Case(eight_bits(smooth), _BAYES),
     "8 bits, sliding minimum": Case(eight_bits(smooth, sliding), _BAYES),
     "8 bits, cut": Case(eight_bits(smooth, cut(0.0)), _BAYES),
