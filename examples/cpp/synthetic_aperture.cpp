@@ -36,7 +36,7 @@ static std::string read_file(const std::string& path) {
     return out.str();
 }
 
-// ---- JSON: objects, arrays, strings, numbers, words; as much as the file needs --------------
+// ---- JSON: objects, arrays, strings, numbers, words; as much as the file needs ------------------
 
 struct Json {
     enum Kind { null, number, text, array, object } kind = null;

@@ -1,10 +1,11 @@
 """Values that no rig has: metres or micrometres where a key says millimetres."""
 
+import math
 from typing import Any
 
 from sabench.scenes.scene import Scene
 
-# least and most: sensors, lenses, lasers and tracers on sale, and twice the images' own resolution
+# least and most: sensors, lenses, lasers and tracers on sale; twice the densest case of the suites
 _USUAL = {
     "cameras.pixel_mm": (0.0005, 0.1),
     "cameras.focal_length_mm": (1.0, 3000.0),
@@ -24,11 +25,12 @@ _UNITS["nm"] = {"micrometres": 1e3, "millimetres": 1e6, "metres": 1e9}
 
 def unusual_values(scene: Scene) -> list[tuple[str, str]]:
     """List keys whose values no rig has, with a sentence and the unit that would fit."""
-    return [
-        (key, _sentence(key, value, *_USUAL[key]))
-        for key, value in dict(_numbers("", scene.to_dict())).items()
-        if key in _USUAL and not _USUAL[key][0] <= value <= _USUAL[key][1]
-    ]
+    found: dict[str, str] = {}
+    for key, value in _numbers("", scene.to_dict()):
+        least, most = _USUAL.get(key.replace("cameras.each.", "cameras."), (-math.inf, math.inf))
+        if not least <= value <= most:
+            found.setdefault(key, _sentence(key, value, least, most))
+    return list(found.items())
 
 
 def _numbers(key: str, value: Any) -> list[tuple[str, float]]:
@@ -39,7 +41,7 @@ def _numbers(key: str, value: Any) -> list[tuple[str, float]]:
     if isinstance(value, list | tuple):
         return [pair for one in value for pair in _numbers(key, one)]
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    return [(key.replace("cameras.each.", "cameras."), float(value))] if number else []
+    return [(key, float(value))] if number else []
 
 
 def _sentence(key: str, value: float, least: float, most: float) -> str:

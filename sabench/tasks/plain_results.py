@@ -3,6 +3,7 @@
 The first bytes of the file say what it is; docs/developing/participate.md says what it holds.
 """
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,17 +13,18 @@ from sabench.api import FoundParticles, Reconstruction
 from sabench.api.solvers import TaskName
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
-from sabench.utils.arrays import F64, I64
-from sabench.utils.errors import InputError
+from sabench.utils.errors import LISTED, InputError, one_line
 from sabench.utils.tables import read_table
 
 _HDF5, _NUMPY = b"\x89HDF\r\n\x1a\n", b"\x93NUMPY"
-_NEEDED = ("x_mm", "y_mm", "z_mm")
+_NEEDED, _POSSIBLE = ("x_mm", "y_mm", "z_mm"), ("frame", "intensity", "track")
 
 
 def is_plain(path: Path) -> bool:
-    """Decide whether a file is there, and no HDF5."""
-    return path.is_file() and not path.is_symlink() and _begins(path) != _HDF5
+    """Decide whether a file is there, can be read, and is no HDF5."""
+    if path.is_symlink() or not path.is_file() or not os.access(path, os.R_OK):
+        return False
+    return _begins(path) != _HDF5
 
 
 def write_plain(path: Path, root: Path, out: Path, name: str) -> None:
@@ -68,23 +70,26 @@ def _particles(path: Path, data: Dataset) -> Iterator[FoundParticles]:
             f"{path}: expected a result as HDF5, .npy or a table with the columns x_mm, y_mm and "
             f"z_mm, got no {', '.join(missing)}"
         )
-    position = np.column_stack([columns[key] for key in _NEEDED])
+    if strange := [key for key in columns if key not in _NEEDED + _POSSIBLE]:
+        known, got = ", ".join(_NEEDED + _POSSIBLE), one_line(", ".join(strange), LISTED)
+        raise InputError(f"{path}: expected no columns but {known} in a table, got {got}")
+    position, frames = np.column_stack([columns[key] for key in _NEEDED]), data.setup.frames
+    if frames > 1 and "frame" not in columns:
+        raise InputError(f"{path}: expected the column frame in a table of {frames} frames")
     frame = columns.get("frame", np.zeros(len(position)))
-    last = data.setup.frames - 1
-    if len(frame) and not (frame.min() >= 0 and frame.max() <= last):
-        got = f"{frame.min():g} to {frame.max():g}"
-        raise InputError(f"{path}: frame: expected 0 to {last} in a table, got {got}")
+    wrong = frame[~np.isin(frame, np.arange(frames))]
+    if len(wrong):
+        raise InputError(
+            f"{path}: frame: expected whole numbers from 0 to {frames - 1} in a table, got "
+            f"{wrong[0]:g}"
+        )
     intensity, track = columns.get("intensity"), columns.get("track")
-    for number in range(data.setup.frames):
+    if track is not None and (track != np.rint(track)).any():
+        raise InputError(f"{path}: track: expected whole numbers in a table")
+    for number in range(frames):
         now = frame == number
         yield FoundParticles(
             position[now],
             None if intensity is None else intensity[now],
-            trajectory=None if track is None else _whole(path, track[now]),
+            trajectory=None if track is None else track[now].astype(np.int64),
         )
-
-
-def _whole(path: Path, track: F64) -> I64:
-    if (track != np.rint(track)).any():
-        raise InputError(f"{path}: track: expected whole numbers in a table")
-    return track.astype(np.int64)

@@ -14,15 +14,16 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.api import FoundParticles
+from sabench.api import FoundParticles, Reconstruction
 from sabench.dataset.reader import Dataset
-from sabench.dataset.results import estimate_hash
+from sabench.dataset.results import estimate_hash, open_result
 from sabench.dataset.schema import identity_of, seal
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.records import append, latest, read_records
 from sabench.evaluation.solver_card import read_card
 from sabench.scenes import load_scene, parse_scene
 from sabench.tasks.external_programs import run_program
+from sabench.tasks.plain_results import write_plain
 from sabench.utils.errors import InputError, UncheckedError
 from sabench.utils.processes.program import ProgramLimits
 from tests.conftest import ROOT, Command
@@ -94,6 +95,24 @@ def test_a_program_needs_no_hdf5(quick: Dataset, tmp_path: Path, task: str) -> N
         assert sabench.score(quick, tmp_path / "r.h5")["q"] == 0.0
 
 
+def test_plain_results_of_several_frames(tmp_path: Path) -> None:
+    scene = load_scene("quick").with_frames(2)
+    data = sabench.generate(scene, tmp_path / "data", backend="splat")
+    volumes = np.arange(2.0)[:, None, None, None] * np.ones(data.setup.grid.shape)
+    np.save(tmp_path / "result.npy", volumes)
+    write_plain(tmp_path / "result.npy", data.root, tmp_path / "volumes.h5", "mine")
+    made = open_result(tmp_path / "volumes.h5", data)
+    assert [made.read(Reconstruction, frame).volume.mean() for frame in (0, 1)] == [0.0, 1.0]
+    table = tmp_path / "result"
+    table.write_text("frame;x_mm;y_mm;z_mm\n1;0,5;0;30\n")
+    write_plain(table, data.root, tmp_path / "particles.h5", "mine")
+    made = open_result(tmp_path / "particles.h5", data)
+    assert [len(made.read(FoundParticles, frame).position_mm) for frame in (0, 1)] == [0, 1]
+    table.write_text("x_mm;y_mm;z_mm\n0,5;0;30\n")  # of which frame?
+    with refused("result", "frame"):
+        write_plain(table, data.root, tmp_path / "none.h5", "mine")
+
+
 BAD = {
     "none": "pass",
     "link": "os.symlink('/etc/passwd', result)",
@@ -101,6 +120,8 @@ BAD = {
     "empty": "open(result, 'w')",
     "no z": "open(result, 'w').write('x_mm,y_mm,frame\\n0,0,0\\n')",
     "another frame": "open(result, 'w').write('frame x_mm y_mm z_mm\\n3 0 0 0\\n')",
+    "half a frame": "open(result, 'w').write('frame x_mm y_mm z_mm\\n0.5 0 0 0\\n')",
+    "bubbles": "open(result, 'w').write('x_mm,y_mm,z_mm,radius_mm\\n0,0,30,0.5\\n')",
     "half a track": "open(result, 'w').write('track x_mm y_mm z_mm\\n3.5 0 0 0\\n')",
     "flat volume": "np.save(open(result, 'wb'), np.zeros((4, 5)))",
     "pickle": "np.save(open(result, 'wb'), np.array([{}]), allow_pickle=True)",

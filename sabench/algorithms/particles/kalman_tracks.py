@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.linking import NEIGHBOURS, assign
+from sabench.algorithms.particles.linking import ENOUGH, NEIGHBOURS, assign
 from sabench.algorithms.particles.particle_search import joined
 from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, FROM_MAD, I64, Bool
@@ -121,9 +121,9 @@ class KalmanTracks:
         off = self.off(rows, position, variance)
         last = self.missed[rows] == 1
         old, new = self.sightings[rows] >= MATURE, self.sightings[rows] == MATURE - 1
-        if (last & old).sum() >= NEIGHBOURS:
+        if (last & old).sum() >= ENOUGH:
             self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
-        if (last & new).sum() >= NEIGHBOURS:
+        if (last & new).sum() >= ENOUGH:
             self.acceleration *= _change(off[last & new])
         covariance = self.covariance[rows]
         covariance *= np.maximum(off.sum(axis=1) / _SURPRISE, 1.0)[:, None, None, None]

@@ -30,8 +30,8 @@ GATE = 20.0
 NEIGHBOUR_REACH = 3.0
 # largest difference of related neighbours' displacements, in the same unit
 ALIKE = 0.4
-# whose displacements a trajectory is compared with; as many links or predictions measure errors
-NEIGHBOURS = 8
+NEIGHBOURS = 8  # whose displacements a trajectory is compared with
+ENOUGH = NEIGHBOURS  # links, or predictions, for a measurement of errors or motion
 # candidates of one trajectory: several times what is within the radius where bubbles are evenly
 # spread, and a bound where they are not
 _MOST = 100
@@ -258,7 +258,7 @@ def _unlike(live: _Trajectories, points: _Points, row: I64, column: I64, scale: 
 def _estimate_scale(scale: _Scale, linked: _Trajectories, points: _Points, j: I64) -> _Scale:
     """Estimate errors of predictions: the median magnitude, as of normal errors."""
     old = ~linked.young
-    if old.sum() < NEIGHBOURS:
+    if old.sum() < ENOUGH:
         return scale
     tracks, j = linked[old], j[old]
     ahead = tracks.position + tracks.velocity * (points.time[j] - tracks.time)[:, None]

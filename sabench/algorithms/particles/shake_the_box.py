@@ -51,7 +51,7 @@ from sabench.algorithms.particles.kalman_tracks import (
     with_motion,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
-from sabench.algorithms.particles.linking import GATE, NEIGHBOURS, link
+from sabench.algorithms.particles.linking import ENOUGH, GATE, NEIGHBOURS, link
 from sabench.algorithms.particles.obstacles import hide_unseen
 from sabench.algorithms.particles.particle_search import FLOORS, ParticleSearch, no_particles
 from sabench.api import FoundParticles, Observation
@@ -216,7 +216,7 @@ class _Tracker:
         sizes = [np.ones(len(position)) for position in positions]
         earlier, later = link(positions, sizes, [first.time, second.time])
         _, i, j = np.intersect1d(earlier, later, return_indices=True)
-        if len(i) < NEIGHBOURS:
+        if len(i) < ENOUGH:
             return None
         self.doubtful = are_mostly_wrong(first.position[i], second.position[j] - first.position[i])
         duration = second.time - first.time

@@ -34,6 +34,18 @@ def test_a_wrong_unit_is_named_with_its_key(table: str, key: str, value: float, 
         assert [advice.key for advice in plan(scene).advice] == [name]  # and blames no other
 
 
+def test_one_camera_and_one_edge_are_found_among_usual_ones() -> None:
+    values: dict[str, Any] = read_toml(find("quick", "scenes"))
+    values["cameras"]["each"] = [
+        {"camera": "camera_00", "focal_length_mm": 0.085},
+        {"camera": "camera_01", "focal_length_mm": 85.0},
+    ]
+    values["volume"]["size_mm"] = [14.0e6, 10.0, 4.0]
+    found = dict(unusual_values(parse_scene(values, "typing errors")))
+    assert list(found) == ["volume.size_mm", "cameras.each.focal_length_mm"]
+    assert "Then write 14" in found["volume.size_mm"]
+
+
 def test_every_bundled_scene_has_usual_values() -> None:
     files = sorted(plugins.bundled_folder("scenes").glob("*.toml"))
     assert len(files) > 20
