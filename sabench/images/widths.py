@@ -21,7 +21,7 @@ from sabench.images.peaks import CLEAR
 from sabench.utils.arrays import F32, F64, Bool
 
 # Statistics of all pixels:
-_LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
+_LEAST_SIGMA, MOST_SIGMA = 0.3, 2.5  # px
 # less is chance; px: least width of images for a tilt, worth .003 and 7 % of RMS of narrow images
 _LEAST_TILT, _LEAST_TILTED = 0.1, 0.45
 LOCAL_PX = 61  # edge of a square with many particles' images
@@ -128,7 +128,7 @@ def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float,
     beyond = (SPOT_PX - 1, SPOT_PX)  # px: so far apart, pixels share no particle
     apart = [_product(over, count, *step) for d in beyond for step in ((0, d), (d, 0))]
     far = sum(apart) / len(apart)
-    widest = _MOST_SIGMA**2 + PIXEL
+    widest = MOST_SIGMA**2 + PIXEL
     steps = (0, 1), (1, 0)
     near = np.array([[_product(over, count, d * i, d * j) for d in (1, 2)] for i, j in steps]) - far
     squares: list[float] = []

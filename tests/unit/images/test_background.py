@@ -63,6 +63,18 @@ def test_noise_lies_above_its_opening_as_stated(width: int) -> None:
     assert opened[90:-90, 90:-90].mean() == pytest.approx(-background.lift(width), abs=0.1)
 
 
+def test_a_background_clearly_above_dark_pixels_is_lowered_and_no_other_is() -> None:
+    true = np.linspace(20.0, 60.0, COLUMNS, dtype=np.float32) * np.ones((ROWS, 1), dtype=np.float32)
+    too_high, area = true.copy(), (slice(80, 160), slice(100, 200))
+    too_high[area] += 2.5 * NOISE
+    lowered = background._lower(too_high, image(0.0, 9) + true, true > 0.0, NOISE)
+    assert np.abs(lowered - true)[area].mean() < 0.5 * NOISE
+    assert np.abs(lowered - true)[100:140, 120:180].max() < NOISE
+    far = np.ones(true.shape, dtype=np.bool_)
+    far[60:180, 80:220] = False
+    assert_array_equal(lowered[far], true[far])
+
+
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixel: float) -> None:
     shown = image(per_pixel, 2, spread=0.6)[None]
