@@ -114,14 +114,18 @@ def _count(jobs: slice, geometry: Any, camera: int, voxels: Any, slots: Any) -> 
 @numba.njit(cache=True)
 def _number(slots: Any, first: Any) -> None:
     """Turn counts into the places of every part's first voxel in every pixel."""
-    total = 0
+    first[:] = 0
+    for part in range(len(slots)):  # along memory
+        for pixel in range(slots.shape[1]):
+            first[pixel + 1] += slots[part, pixel]
     for pixel in range(slots.shape[1]):
-        first[pixel] = total
-        for part in range(len(slots)):
+        first[pixel + 1] += first[pixel]
+    place = first[:-1].copy()
+    for part in range(len(slots)):
+        for pixel in range(slots.shape[1]):
             count = slots[part, pixel]
-            slots[part, pixel] = total
-            total += count
-    first[-1] = total
+            slots[part, pixel] = place[pixel]
+            place[pixel] += count
 
 
 @numba.njit(cache=True, nogil=True)

@@ -40,7 +40,7 @@ FAULTS = [
     ("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 104.0]", "volume"),
     ("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 5.0]", "volume"),
     ("= 85.0", "= 85.0\naim_mm = [400.0, 0.0, 30.0]", "4"),
-    ("f_number = 16.0", "f_number = 16.0\nfocus_mm = 50.0", "focus_mm"),
+    ("f_number = 18.0", "f_number = 18.0\nfocus_mm = 50.0", "focus_mm"),
     ("crop_mm = [0.5", "crop_mm = [7.0", "crop_mm"),
     ("title =", "title", ""),
 ]

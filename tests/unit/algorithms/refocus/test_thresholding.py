@@ -175,12 +175,22 @@ def test_a_black_camera_and_black_images(shot: Shot) -> None:
 
 
 @pytest.mark.parametrize("keep", KEEPS)
-def test_parameters_choose_the_k(shot: Shot, keep: Keep) -> None:
+def test_a_given_k_is_the_thesis_s_threshold(shot: Shot, keep: Keep) -> None:
     case, volume = shot.observation, refocused(shot.observation)
-    for given, expected in ((2.0, 2.0), ("auto", auto_k(volume, occupancy(case), keep))):
-        parameters = ExtractionParameters(k=given, keep=keep)
-        found = extract_particles(volume.copy(), case, parameters)
-        assert_array_equal(found, extract(volume.copy(), expected, keep))
+    found = extract_particles(volume.copy(), case, ExtractionParameters(k=2.0, keep=keep))
+    assert_array_equal(found, extract(volume.copy(), 2.0, keep))
+
+
+@pytest.mark.parametrize("keep", KEEPS)
+def test_auto_omits_what_is_a_hundred_times_fainter_than_particles(shot: Shot, keep: Keep) -> None:
+    case, volume = shot.observation, refocused(shot.observation)
+    found = extract_particles(volume.copy(), case, ExtractionParameters(keep=keep))
+    whole = extract(volume.copy(), auto_k(volume, occupancy(case), keep), keep).astype(np.float64)
+    faint = whole < 0.01 * (whole**2).sum() / whole.sum()
+    assert not found[faint].any()
+    assert_array_equal(found[~faint], whole[~faint].astype(np.float32))
+    if keep == "reduced":
+        assert np.count_nonzero(whole[faint]) > 0
 
 
 @pytest.mark.parametrize("seed", range(5))
