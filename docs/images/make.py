@@ -31,7 +31,7 @@ def tile(path: Path, caption: str) -> npt.NDArray[np.uint8]:
 
 def main(folder: Path, sheet: Path) -> None:
     """Cameras, truth and each solver, four beside each other."""
-    solvers = sorted(path for path in folder.glob("*.png") if path.stem not in _CAPTIONS)
+    solvers = sorted(path for path in folder.glob("*-????????.png"))  # and no .error.png
     tiles = [tile(folder / f"{stem}.png", caption) for stem, caption in _CAPTIONS.items()]
     tiles += [tile(path, path.stem.rsplit("-", 1)[0]) for path in solvers]
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % 4)
