@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sabench.geometry.refraction import NEWTON
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 _LONGEST = 0.3  # rad: of one step
 _MISS = 1e-12  # of the distance from the pinhole: largest miss of a path that counts as found
@@ -111,7 +111,7 @@ def follow(
     return valid
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _aim(
     gap: float, faces: Any, indices: Any, start: Any, point: Any, rays: Any, steps: Any
 ) -> tuple[float, float]:
@@ -197,7 +197,7 @@ def find_light_paths(
     return valid
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _solve(
     gap: float, faces: Any, indices: Any, point: Any, work: Any, leaving: Any, arriving: Any
 ) -> bool:

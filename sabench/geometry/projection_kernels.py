@@ -19,7 +19,7 @@ import numpy as np
 
 from sabench.geometry.refraction import HALLEY, NEWTON, Wall
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 BLOCK = 256
 # relative change after which Halley's next would be below rounding; Newton's is asked for the
@@ -41,7 +41,7 @@ def media_of(wall: Wall, center_mm: F64) -> Media:
     return rare, others, float(ratios[-1]), float(ratios[0]), before + wall.thickness_mm
 
 
-@numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@inner_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _step(
     slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float
 ) -> int:
@@ -69,7 +69,7 @@ def _step(
     return moving
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _climb(
     slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float
 ) -> None:
@@ -91,7 +91,7 @@ def _climb(
             break
 
 
-@numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@inner_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _paraxial(deep: Any, size: int, rare: float, others: Any, fluid: float, slope: Any) -> None:
     constant = rare
     for ratio, depth in others:
@@ -101,7 +101,7 @@ def _paraxial(deep: Any, size: int, rare: float, others: Any, fluid: float, slop
         slope[i] = 1.0 / (constant + deep[i] * scale)
 
 
-@numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@inner_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _tangents(slope: Any, square: Any, size: int, first: float) -> None:
     """Convert q to the tangent in the cameras' medium, given the lateral distance.
 

@@ -13,7 +13,7 @@ import numpy as np
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.plane_polynomials import TOLERANCE_PX
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import share_rows
 
 _HIGHEST = 9
@@ -119,7 +119,7 @@ def project_point(maps: Any, camera: int, point: Any, pixel: Any, slope: Any) ->
     slope[1, 0], slope[1, 1], slope[1, 2] = vx, vy, vz
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def project_row(
     maps: Any, camera: int, y: float, z: float, first: float, step: float, pixels: Any
 ) -> None:

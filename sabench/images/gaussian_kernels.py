@@ -3,11 +3,11 @@
 import math
 from typing import Any
 
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.vector_units import fill_edges, fill_edges_and_slopes
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def fill_shares(center: float, sigma: float, first: int, pixels: int, shares: Any) -> None:
     """Fill in shares (lane,) of a Gaussian from pixel `first` on, then zeros.
 
@@ -17,7 +17,7 @@ def fill_shares(center: float, sigma: float, first: int, pixels: int, shares: An
     fill_edges(shares, (first - 0.5 - center) * step, step, pixels)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def fill_profile(
     center: float, sigma: float, first: int, pixels: int, shares: Any, slopes: Any
 ) -> None:
@@ -39,7 +39,7 @@ def fill_bend(center: float, sigma: float, first: int, bend: Any) -> None:
         before = after
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def fill_derivatives(center: float, sigma: float, first: int, derivatives: Any) -> None:
     """Fill in second to fifth derivatives (4, n) of shares by Hermite's polynomials."""
     scale, pixels = -1.0 / (math.sqrt(2.0 * math.pi) * sigma**2), derivatives.shape[1]

@@ -12,7 +12,7 @@ import numpy as np
 
 from sabench.images.dark_noise import FALSE_ALARMS, DarkNoise, measure_dark_noise
 from sabench.utils.arrays import F32, F64, I64, U16, Bool
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel
 
 _CELL_PX = 4.0  # edge of the square cells into which peaks are sorted
 CLEAR = 8.0  # standard deviations of noise: what is brighter is no noise
@@ -94,7 +94,7 @@ def sort_peaks(pixels: F64, shape: tuple[int, ...]) -> Peaks:
     return Peaks(np.ascontiguousarray(pixels[order]), starts, columns, rows)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def find_near(peaks: Any, pixel: Any, radius: float, numbers: Any) -> int:
     """Fill in numbers of peaks within a radius of a pixel; count them.
 

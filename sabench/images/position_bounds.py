@@ -16,7 +16,7 @@ import numpy as np
 from sabench.images.gaussian_kernels import fill_profile
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import on_cores
 from sabench.utils.vector_units import add_product, whole_lanes
 
@@ -154,14 +154,14 @@ def _add_pairs(
 
 # Kernels have loops where numpy has expressions of arrays: numba would compile the checks of their
 # shapes and the messages of these for half a minute.
-@numba.njit(cache=True)
+@inner_kernel()
 def _add(block: Any, total: Any) -> None:  # pragma: no cover
     for a in range(_UNKNOWNS):
         for b in range(_UNKNOWNS):
             total[a, b] += block[a, b]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _chain(inner: Any, one: Any, other: Any, block: Any) -> None:  # pragma: no cover
     """Fill in unknowns' block (4, 4) from derivatives by column, row and light."""
     block[0, 0] = inner[2, 2]
@@ -174,7 +174,7 @@ def _chain(inner: Any, one: Any, other: Any, block: Any) -> None:  # pragma: no 
             block[1 + p, 1 + q] = column * other[0, q] + row * other[1, q]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _overlap(
     i: int, j: int, light: Any, shapes: Any, weight: Any, inner: Any
 ) -> None:  # pragma: no cover
@@ -242,7 +242,7 @@ def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: 
     return links, places, ends
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _reduce(
     own: Any, shared: Any, partners: Any, known: Any, inverse: Any, pairs: Any, both: Any, out: Any
 ) -> None:  # pragma: no cover
@@ -302,7 +302,7 @@ def _reduce(
             out[a, b] = out[b, a] = 0.5 * (out[a, b] + out[b, a])
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _times_blocks(blocks: Any, rows: Any, vectors: Any, out: Any) -> None:  # pragma: no cover
     """Fill in products of some rows' blocks with vectors."""
     for n in range(len(out)):
@@ -321,7 +321,7 @@ def _add_links(pairs: Any, both: Any, vectors: Any, out: Any) -> None:  # pragma
             add_product(out, n, both, places[link], vectors, ends[link])
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _fill_product(one: Any, other: Any, total: Any) -> None:  # pragma: no cover
     """Fill in the sums (4,) of products, for each unknown."""
     for r in range(_UNKNOWNS):

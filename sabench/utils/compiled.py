@@ -3,14 +3,16 @@
 All modules with kernels import numba from here, so that the folder is set before the first kernel.
 """
 
+import functools
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core import caching, event
-from numba.core.registry import cpu_target
+from numba.core.registry import CPUDispatcher, cpu_target
 
 from sabench.utils.code_hash import PACKAGE
 from sabench.utils.kernel_folder import kernel_folder
@@ -56,6 +58,34 @@ class _PlaceInPackage(caching._CacheLocator):  # type: ignore[misc]
 
 
 caching.CacheImpl._locator_classes.insert(0, _PlaceInPackage)
+
+
+class _InnerKernel(CPUDispatcher):  # type: ignore[misc]
+    """Kernel without wrappers, which would take a fifth of the time of compiling."""
+
+    def add_overload(self, cres: Any) -> None:
+        """Keep what was compiled out of the table of what Python may call."""
+        self.overloads[tuple(cres.signature.args)] = cres
+
+    @functools.cached_property
+    def _door(self) -> Any:
+        return numba.njit(lambda *arguments: self(*arguments))
+
+    def _compile_for_args(self, *arguments: Any) -> Any:
+        """Return a kernel that calls it, for tests."""
+        return self._door
+
+
+def inner_kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorate as `numba.njit(cache=True)` a kernel that only kernels call."""
+    options |= {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        kernel = _InnerKernel(function, targetoptions=options)
+        kernel.enable_caching()
+        return kernel
+
+    return decorate
 
 
 class _CompileClock(event.Listener):  # type: ignore[misc]
@@ -104,4 +134,4 @@ def load_registries() -> None:
     cpu_target.target_context.refresh()
 
 
-__all__ = ["compile_s", "load_registries", "numba"]
+__all__ = ["compile_s", "inner_kernel", "load_registries", "numba"]

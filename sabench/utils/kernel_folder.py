@@ -65,7 +65,7 @@ def hash_sources(package: Path) -> str:
     """Compute the SHA-256 of a package's files with kernels and of their imports."""
     files = [file for file in package.rglob("*.py") if "_plugins" not in file.parts]
     contents = {file: file.read_bytes() for file in files}
-    left = [file for file, content in contents.items() if b"numba" in content]
+    left = [file for file, content in contents.items() if b"sabench.utils.compiled" in content]
     hashed = set(left)
     while left:
         new = _imported(package, contents[left.pop()].decode()) & contents.keys() - hashed

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 _ROUNDS = 10
 _FIRST, _SECOND = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)  # multipliers
@@ -43,7 +43,7 @@ def block(key: Any, c0: Any, c1: Any, c2: Any, c3: Any) -> Any:
     return c0, c1, c2, c3
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def fill_blocks(key: Any, first: Any, c1: Any, c2: Any, c3: Any, words: Any) -> None:
     """Fill in blocks (4, n) of counters whose first word counts up from `first`."""
     for n in range(words.shape[1]):

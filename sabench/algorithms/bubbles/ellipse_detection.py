@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 _BIN = 0.5  # px: of minor axes in the accumulator
 _OFF = 0.75  # px: of an edge from the outline that it belongs to
@@ -117,7 +117,7 @@ def _fit_ellipse(points: F64, first: F64) -> F64:
     return fitted if np.isfinite(fitted).all() and similar and fitted[3] >= _LEAST_PX else first
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _relation(points: Any, ellipse: Any) -> Any:
     """Compute distances of edges from an ellipse, cosines, eccentric angles."""
     x, y, a, b, angle = ellipse
@@ -191,7 +191,7 @@ def _vote_for_ellipse(points: Any, largest: float, least_aspect: float) -> Any:
     return best, best_part
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _minor(points: Any, axis: Any, least_aspect: float) -> float:
     """Find the minor semi-axis with the most votes of three bins; 0 without votes."""
     x, y, a, _, angle = axis

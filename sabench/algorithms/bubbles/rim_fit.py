@@ -35,12 +35,12 @@ from sabench.algorithms.bubbles.backlit_images import DIM, LARGEST, SMALLEST, Pr
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import REACH
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 _MARGIN = 2.5  # px around a bubble that are looked at
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
     """Interpolate transmission at a distance in px, a part of the radius."""
     radius = distance / part if part > 1e-9 else 1e9
@@ -56,7 +56,7 @@ def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
     return upper * (1.0 - u) + lower * u
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def shade_at(ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float) -> Any:
     """Compute the transmission at a pixel; `middle` is the mean radius, px."""
     x, y = column - ellipse[0], row - ellipse[1]
@@ -71,7 +71,7 @@ def shade_at(ellipse: Any, column: int, row: int, middle: float, table: Any, blu
     return _shade(table, blur, distance, part)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def slopes_at(
     ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float, out: Any
 ) -> Any:
@@ -110,7 +110,7 @@ def slopes_at(
     return here
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def box_of(ellipse: Any, shape: Any, blur: float) -> Any:
     """Find the rows and columns that an ellipse's image reaches, and its mean radius."""
     determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]

@@ -16,7 +16,7 @@ from sabench.algorithms.particles.matching import follow_lines, is_among, move_t
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 _CELL_PX = 1.0  # edge of the cells that count sets
 _SPOT_PX = 0.6  # radius of what belongs together
@@ -134,7 +134,7 @@ def _by_parts(positions: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
     return np.column_stack([np.ones(len(chosen)), middles]), spots
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
     """Fill in a position's displacement (camera, 2, 3) per pixel of error."""
     m = np.zeros((3, 3))
@@ -161,7 +161,7 @@ def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
     return True
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _compute_step(gains: Any, misses: Any, cameras: int, step: Any) -> None:
     """Compute the step (3,) of a position that lowers the squared misses most."""
     for p in range(3):
@@ -232,7 +232,7 @@ def match_peaks(
     return int(count)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _intersect(maps: Any, peaks: Any, chosen: Any, position: Any, work: Any, here: Any) -> bool:
     """Move a point nearest to two lines of sight; False outside the box."""
     slopes, misses, gains, step = work
@@ -249,7 +249,7 @@ def _intersect(maps: Any, peaks: Any, chosen: Any, position: Any, work: Any, her
     return bool(abs(position[0]) <= 1.0 and abs(position[1]) <= 1.0 and abs(position[2]) <= 1.0)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _others(
     maps: Any, peaks: Any, radius: float, chosen: Any, start: Any, work: Any, sets: Any, count: int
 ) -> int:
@@ -289,7 +289,7 @@ def _others(
     return count
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
     """Compute the largest squared miss of a camera at a position after a step."""
     worst = 0.0

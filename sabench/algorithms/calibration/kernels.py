@@ -14,7 +14,7 @@ import math
 from typing import Any
 
 from sabench.geometry.refraction import NEWTON
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel
 
 # rotation 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3, tilt 2
 CAMERA = 16
@@ -22,7 +22,7 @@ BOARD = 6  # rotation 3, position 3
 BEND = 3  # of a board: along its X, its twist, along its Y
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _bend(indices: Any, depths: Any, radius: float) -> float:
     """Solve for the tangent of a path's angle in its rarest medium.
 
@@ -47,7 +47,7 @@ def _bend(indices: Any, depths: Any, radius: float) -> float:
     return slope
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _leave(
     indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
 ) -> tuple[float, float]:
@@ -80,7 +80,7 @@ def _leave(
     return tangent, curved
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def observe(
     rotation: Any,
     center: Any,
@@ -149,7 +149,7 @@ def observe(
     return focal * du + lens[1], focal * dv + lens[2], True
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
     """Fill in derivatives by coefficients of distortion at (u, v)."""
     s = u * u + v * v
@@ -159,7 +159,7 @@ def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
     row[12] = right * (s + 2.0 * u * u) + down * 2.0 * u * v
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
     """Take distorted coordinates to a tilted sensor.
 
@@ -180,7 +180,7 @@ def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
     return x, y
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _distort(u: float, v: float, lens: Any) -> tuple[float, float, float, float, float]:
     """Distort coordinates by Brown and Conrady's model, with derivatives."""
     k1, k2, p1, p2, k3 = lens[3], lens[4], lens[5], lens[6], lens[7]
@@ -195,7 +195,7 @@ def _distort(u: float, v: float, lens: Any) -> tuple[float, float, float, float,
     return du, dv, uu, uv, vv
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _fill(
     row: Any,
     first: float,

@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.calibration.kernels import BEND, BOARD, CAMERA, observe
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _rotate(rotation: Any, point: Any, lever: Any) -> None:
     for axis in range(3):
         row = rotation[axis]
         lever[axis] = row[0] * point[0] + row[1] * point[1] + row[2] * point[2]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
     """Fill in derivatives by the bend, which lifts a point along the normal."""
     for i in range(2):
@@ -26,14 +26,14 @@ def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
             row[i, start + j] = along * lift[j]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _scratch(media: int) -> Any:
     """Make `observe`'s row and work arrays, and a lever."""
     row = np.zeros((2, CAMERA + BOARD + 2 * media + 1 + BEND))
     return row, np.zeros((3, media)), np.zeros(3)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _columns(camera_columns: Any, shared: Any) -> Any:
     """List the columns of `observe`'s rows for camera, shared and board unknowns."""
     f, s = len(camera_columns), len(shared)
@@ -113,7 +113,7 @@ def equations(array: Any, boards: Any, views: Any, free: Any, scale: float) -> A
     return cost, aa, ab, bb, a, d
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _scatter(part: Any, slope: Any, c: int, k: int, counts: Any, sums: Any) -> None:
     """Add the lower triangle of one camera's and one board's equations."""
     (f, s, cameras), (aa, ab, bb, a, d) = counts, sums

@@ -24,7 +24,7 @@ from sabench.algorithms.particles.image_model import (
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import for_each, share_rows
 
 _CELLS = 1500  # the most
@@ -146,7 +146,7 @@ def _colours(low: Any, high: Any) -> Any:
     return colour
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _overlap(low: Any, high: Any, first: int, other: int) -> bool:
     for c in range(low.shape[1]):
         if (

@@ -17,7 +17,7 @@ import numpy as np
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussian_kernels import fill_derivatives, fill_profile
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.vector_units import (
     LANES,
     Profile,
@@ -85,7 +85,7 @@ class ImageModel(NamedTuple):
     log_rate: float
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def copy_row(source: Any, target: Any) -> None:
     """Copy numbers (n,): assigning a part of an array takes two seconds to compile."""
     for k in range(len(target)):
@@ -175,7 +175,7 @@ def shape_at(terms: Any, position: Any) -> Any:
     return terms[0] + terms[1] * x + terms[2] * y + (terms[3] + terms[4] * z) * z
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def place_windows(model: Any, room: Any, position: Any) -> None:
     """Place a particle's windows in all cameras, with its images' profiles."""
     half, lanes = room.window // 2, room.profiles.shape[2]
@@ -204,7 +204,7 @@ def is_plain(shapes: Any, c: int) -> bool:
     return bool((shapes[c, 2, 0] == 0.0) & (shapes[c, 3, 0] == 0.0))  # `and` is slower
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _shape_profiles(
     table: Any, shape: Any, position: Any, here: Any, width: Any, corner: Any
 ) -> None:
@@ -243,7 +243,7 @@ def _products(shapes: Any, c: int) -> Any:
     return (Profile.OWN_X, 1) if is_plain(shapes, c) else (Profile.FLAT_X, 4)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def fill_image(model: Any, room: Any, c: int, image: Any) -> None:
     """Fill in a camera's image (row, column), for light 1, after `place_windows`."""
     (first, count), rows = _products(model.shapes, c), room.profiles[c]
@@ -257,14 +257,14 @@ def fill_image(model: Any, room: Any, c: int, image: Any) -> None:
 # The indices of the windows' sums are unsigned: a signed one is compared with zero each time.
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def counting(weight: Any, left: Any) -> Any:
     """Return the weight of a pixel with what is left there; 0 if it has enough light."""
     none = np.float32(0.0)
     return abs(weight) if (weight >= none) | (left > none) else none
 
 
-@numba.njit(cache=True, fastmath=_ANY_ORDER)
+@inner_kernel(fastmath=_ANY_ORDER)
 def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) -> None:
     top, start = np.uintp(corner[1]), np.uintp(corner[0])
     for block in range(len(x) // LANES):
@@ -277,7 +277,7 @@ def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) ->
                 image[top + i, start + j] += share * x[j]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
     """Add light (camera,) times a sign to the images, where `place_windows` was last."""
     for c in range(len(light)):
@@ -288,14 +288,14 @@ def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
             _paint(image, x, y, room.window, room.corner[c], amount)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def take_out(model: Any, room: Any, position: Any, light: Any) -> None:
     """Give the light of a particle back to what is left of the images."""
     place_windows(model, room, position)
     paint_here(model, room, light, 1.0)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def put_in(model: Any, room: Any, position: Any, light: Any) -> None:
     """Subtract the light of a particle from what is left of the images."""
     place_windows(model, room, position)
@@ -310,7 +310,7 @@ def paint_all(model: Any, room: Any, particles: Any, sign: float) -> None:
         paint_here(model, room, particles.light[n], sign)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def look(model: Any, room: Any, position: Any, light: Any) -> None:
     """Sum over the windows of a particle of this light at a position.
 
@@ -339,7 +339,7 @@ def match_here(model: Any, room: Any, light: Any) -> None:
         room.given[0] += given
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
     """Fill in all cameras' sums of weights for light 1 of a subtracted particle.
 

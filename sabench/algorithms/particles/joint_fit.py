@@ -19,7 +19,7 @@ from scipy.special import gammainc, gammaincinv
 
 from sabench.algorithms.particles.image_model import Sum, copy_row, look, paint_here, sum_up
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 # Light:
 _LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step that is the last
@@ -64,7 +64,7 @@ def learn_covariance(logarithms: F64) -> F64:
     return np.asarray(covariance + OWN_ERROR**2 * np.eye(cameras))
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def light_cost(signal: Any, weight: Any, typical: Any, precision: Any, logs: Any) -> float:
     """Compute the cost of lights relative to no light, without constants."""
     cost = 0.0
@@ -109,7 +109,7 @@ def find_light(
     return float(light_cost(signal, weight, typical, precision, logs))
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def factorise_cholesky(matrix: Any) -> None:
     """Replace a positive definite matrix by its Cholesky factor."""
     for i in range(len(matrix)):
@@ -147,7 +147,7 @@ def _substitute(factor: Any, right: Any) -> None:
         right[i] = value / factor[i, i]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def cost_of(model: Any, room: Any, light: Any) -> float:
     """Compute the cost of a particle's light after `look`, relative to no light."""
     for c in range(len(light)):
@@ -156,7 +156,7 @@ def cost_of(model: Any, room: Any, light: Any) -> float:
     return float(cost - room.given[0])
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def best_light(model: Any, room: Any, light: Any) -> float:
     """Fill in the most probable light (camera,) after `look`; returns its cost."""
     cost = find_light(
@@ -167,7 +167,7 @@ def best_light(model: Any, room: Any, light: Any) -> float:
     return float(cost - room.given[0])
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _add_to_matrix(room: Any, c: int, light: float) -> None:
     """Add a camera's share of the position's normal matrix, after `sum_up`."""
     square, slope, sums = light * light, room.slope[c], room.sums
@@ -180,7 +180,7 @@ def _add_to_matrix(room: Any, c: int, light: float) -> None:
             )
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float:
     """Fill in a particle's equations; returns the largest derivative of a pixel."""
     sum_up(model, room, position, light)
@@ -196,7 +196,7 @@ def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float
     return steepest
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def solve_three(matrix: Any, right: Any, step: Any) -> float:
     """Solve three equations by cofactors; return the determinant.
 
@@ -219,7 +219,7 @@ def solve_three(matrix: Any, right: Any, step: Any) -> float:
     return float(determinant)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def fit_particle(model: Any, room: Any, particles: Any, n: int) -> float:
     """Fit a particle to the images less all others; return the change of cost.
 
@@ -271,7 +271,7 @@ def start_light(model: Any, room: Any, particles: Any, rows: Any) -> None:
         paint_here(model, room, particles.light[n], -1.0)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def penalty(model: Any, room: Any, position: Any, light: Any) -> float:
     """Compute what a particle must gain to be probable, in units of the cost.
 

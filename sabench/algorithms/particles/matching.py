@@ -30,7 +30,7 @@ from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.levels import bright_dn
 from sabench.images.peaks import Peaks, detect_particle_peaks, find_near, keep_peaks
 from sabench.utils.arrays import F32, F64, I64, Bool
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import Deadline
 
 MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
@@ -315,7 +315,7 @@ def _follow(
     return count
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def is_among(values: Any, count: int, value: int) -> bool:
     """Find a value among the first ones: a loop is faster to compile than arrays."""
     among = False
@@ -324,7 +324,7 @@ def is_among(values: Any, count: int, value: int) -> bool:
     return among
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _within(position: Any, bound: float) -> bool:
     inside = True
     for i in range(3):
@@ -332,7 +332,7 @@ def _within(position: Any, bound: float) -> bool:
     return inside
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _others(maps: Any, peaks: Any, chosen: Any, position: Any, radius: float, covered: Any) -> bool:
     """Choose the nearest image in each other camera; False if an open one shows none."""
     here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_ROOM, dtype=np.int64)
@@ -353,7 +353,7 @@ def _others(maps: Any, peaks: Any, chosen: Any, position: Any, radius: float, co
     return len(peaks) == 2 or showing > 2
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _open(covered: Any, pixel: Any) -> bool:
     rows, columns = covered.shape
     if not (0.0 < pixel[0] < columns - 1.0 and 0.0 < pixel[1] < rows - 1.0):
@@ -361,7 +361,7 @@ def _open(covered: Any, pixel: Any) -> bool:
     return not covered[int(np.rint(pixel[1])), int(np.rint(pixel[0]))]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> tuple[float, float]:
     """Fit a position to the chosen images; returns largest and RMS distance left, px."""
     here, slope, worst, total, count = np.zeros(2), np.zeros((2, 3)), 0.0, 0.0, 0
@@ -404,7 +404,7 @@ def follow_lines(maps: VolumePolynomials, cameras: range, step_px: float) -> tup
     return along, max(2, int(longest / step_px) + 2)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def move_to_pixel(maps: Any, pixel: Any, position: Any, along: int, here: Any, slope: Any) -> bool:
     """Move a position across an axis to where the first camera sees a pixel."""
     a, b = (along + 1) % 3, (along + 2) % 3

@@ -37,7 +37,7 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.vector_units import Profile
 
 # Removals:
@@ -118,19 +118,19 @@ def remove_ghosts(
     return removed
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _keep(particles: Any, row: int, position: Any, light: Any) -> None:
     copy_row(particles.position[row], position)
     copy_row(particles.light[row], light)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _put(particles: Any, row: int, position: Any, light: Any) -> None:
     copy_row(position, particles.position[row])
     copy_row(light, particles.light[row])
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _put_back(
     model: Any, room: Any, particles: Any, neighbours: Any, positions: Any, lights: Any
 ) -> None:

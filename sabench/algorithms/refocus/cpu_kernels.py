@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.refocus.rectification import LINEAR, weights
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 # a tile's accumulators and the pixels that it reads stay in the first two caches
 TILE_ROWS, TILE_COLUMNS = 16, 512
@@ -28,7 +28,7 @@ _REST = np.polynomial.polynomial.polyfit(_T, (np.log2(1.0 + _T) - _T) / (_T * (1
 _LOG2_REST = tuple(_REST.astype(np.float32))
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
     """Find the voxel where a position, moving by `step`, enters another pixel."""
     room = 1.0 - fraction if step > 0.0 else fraction
@@ -38,13 +38,13 @@ def _stretch(fraction: float, step: float, first: int, count: int) -> int:
     return min(count, first + max(1, int(whole)))
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
+@inner_kernel(fastmath=True, forceinline=True)
 def _fold(total: Any, sample: Any, fold: Any) -> Any:
     """Return total + sample or, by the type of `fold`, total * max(sample, fold[0])."""
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _fold_row(
     image: Any, spline: Any, affine: Any, row: int, begin: int, outside: Any, fold: Any, target: Any
 ) -> None:
@@ -81,7 +81,7 @@ def _fold_row(
         first = end
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
+@inner_kernel(fastmath=True, forceinline=True)
 def _interpolate(
     image: Any, spline: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any
 ) -> None:
@@ -111,7 +111,7 @@ def _interpolate(
             target[i] = _fold(target[i], over + under, fold)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
@@ -127,7 +127,7 @@ def _fold_tile(
         _fold_row(image, spline, affine, row, 0, outside, fold, total[start : start + columns])
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _fold_four(
     image: Any,
     flat: Any,
@@ -179,7 +179,7 @@ def _fold_four(
         first = end
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
+@inner_kernel(fastmath=True, forceinline=True)
 def _interpolate_four(
     flat: Any, pitch: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any, count: int
 ) -> None:
@@ -205,7 +205,7 @@ def _interpolate_four(
         target[k[2]] = _fold(target[k[2]], row_3 + (below_3 + down) * (row_4 - row_3), fold)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _add_log2(product: Any, total: Any) -> None:
     """Add log2(product) to total and set product to 1; within 5e-6.
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import on_cores
 
 # degrees of splines as lengths of tuples, which are part of their types: kernels are compiled for
@@ -69,7 +69,7 @@ def _filter_along_columns(jobs: slice, padded: Any) -> None:
             strip[rows - 1, i] = strip[rows - 5, i]
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _filter(lines: Any) -> None:
     """Apply the inverse filter down the first axis, in place, to adjacent lines."""
     length, count = lines.shape
@@ -133,7 +133,7 @@ def _resample(
         )
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _along_row(polynomial: Any, degree: int, v: float) -> Any:
     """Evaluate coefficients in u of a bivariate polynomial at a fixed v."""
     line = np.zeros(degree + 1)
@@ -146,7 +146,7 @@ def _along_row(polynomial: Any, degree: int, v: float) -> Any:
     return line
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _evaluate(line: Any, out: Any) -> None:
     """Evaluate a polynomial at evenly spaced u from -1 to 1 by vectors of sums."""
     step, start = 2.0 / max(len(out) - 1, 1), 1.0 if len(out) > 1 else 0.0
@@ -159,7 +159,7 @@ def _evaluate(line: Any, out: Any) -> None:
         out[i] = value[i]
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any, out: Any) -> None:
     """Interpolate with 4 x 4 weights, computed in separate loops to run on vectors."""
     last_row, last_column, pitch = (
@@ -201,7 +201,7 @@ def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any
         out[i] = out[i] if inside else outside
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def weights(spline: Any, t: Any) -> Any:
     """Compute B-spline weights of the pixels -1, 0, 1, 2 at the fraction t."""
     sixth, one = np.float32(1.0 / 6.0), np.float32(1.0)

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from sabench.algorithms.tomography.kernels import STEPS, exp2, locate, multiply, scratch
 from sabench.algorithms.tomography.projection_operator import TASKS, ProjectionOperator
 from sabench.utils.arrays import F32, I64, Bool
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.progress import progress_bar
 from sabench.utils.threads import on_cores
 
@@ -166,7 +166,7 @@ def _sweep(
         missed[strip] = _sweep_strip(buckets, image, saturated, relaxation, strip)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _sweep_strip(buckets: Any, image: Any, saturated: Any, relaxation: Any, strip: int) -> float:
     total = 0.0
     for row in range(strip * STRIP, min((strip + 1) * STRIP, len(image))):
@@ -177,7 +177,7 @@ def _sweep_strip(buckets: Any, image: Any, saturated: Any, relaxation: Any, stri
     return total
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _correct(
     buckets: Any, row: int, column: int, light: Any, saturated: Any, relaxation: Any
 ) -> Any:
@@ -190,7 +190,7 @@ def _correct(
     return (light - projected) ** 2
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
     """Compute sum_j W_ij I_j of one pixel."""
     total = np.float32(0.0)
@@ -200,7 +200,7 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
     return total
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
     """Multiply the voxels of one pixel: I_j <- I_j 2^(exponent W_ij)."""
     for above in range(min(buckets.taps, row + 1)):
@@ -208,7 +208,7 @@ def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
         _multiply(*voxels, np.float32(row), np.float32(column), buckets.spread, exponent)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _stretch(buckets: Any, row: int, column: int) -> Any:
     """List rows, columns and light of the voxels with footprints that reach a pixel."""
     left, line = max(column - buckets.taps + 1, 0), row * buckets.columns
@@ -216,7 +216,7 @@ def _stretch(buckets: Any, row: int, column: int) -> Any:
     return buckets.down[here], buckets.across[here], buckets.light[here]
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _sum(down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any) -> Any:
     total = np.float32(0.0)
     for k in range(len(light)):
@@ -224,7 +224,7 @@ def _sum(down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any)
     return total
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _multiply(
     down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any, exponent: Any
 ) -> None:
@@ -233,7 +233,7 @@ def _multiply(
         light[k] *= exp2(part * _share(across[k] - column, spread))
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _share(distance: Any, spread: Any) -> Any:
     """Compute a pixel's part of a voxel's light along one axis; see `Footprint`."""
     one, none = np.float32(1.0), np.float32(0.0)

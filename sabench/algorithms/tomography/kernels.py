@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 
 _BITS = 10
 STEPS = 1 << _BITS  # places inside a pixel, along either axis, that are distinguished
@@ -45,7 +45,7 @@ class KernelGeometry(NamedTuple):
     mask: int = STEPS - 1
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def scratch(geometry: Any) -> Any:
     """Allocate the scratch arrays of `locate`."""
     width, terms = geometry.width, geometry.degree + 1
@@ -59,7 +59,7 @@ def scratch(geometry: Any) -> Any:
     )
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def locate(geometry: Any, camera: int, row: int, x: Any, work: Any) -> Any:
     """Locate the voxels x of a row, counted over (z, y), in a camera's image.
 
@@ -86,7 +86,7 @@ def locate(geometry: Any, camera: int, row: int, x: Any, work: Any) -> Any:
     return base[: len(x)], across[: len(x)], down[: len(x)]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> None:
     """Evaluate a plane's polynomials in steps, shifted by `shift`, at one v."""
     total[:] = 0.0
@@ -99,7 +99,7 @@ def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> No
         power *= v
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _evaluate(line: Any, x: Any, width: int, position: Any) -> None:
     """Fill in u, column and row by Horner's rule, with the voxels in the inner loop."""
     u, column, row = position[0], position[1], position[2]
@@ -116,7 +116,7 @@ def _evaluate(line: Any, x: Any, width: int, position: Any) -> None:
             row[i] = row[i] * u[i] + b
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _fix(position: Any, count: int, geometry: Any, base: Any, across: Any, down: Any) -> None:
     column, row = position[1], position[2]
     low, mask, stride = (
@@ -140,7 +140,7 @@ def _fix(position: Any, count: int, geometry: Any, base: Any, across: Any, down:
         down[i] = np.uint16(q & mask)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def sample_image(image: Any, columns: int, base: Any, across: Any, down: Any) -> Any:
     """Interpolate bilinearly in an image (flat)."""
     corner, below = np.uint32(base), np.uint32(base + columns)
@@ -150,7 +150,7 @@ def sample_image(image: Any, columns: int, base: Any, across: Any, down: Any) ->
     return over + lower * (under - over)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _scatter(value: Any, places: Any, columns: int, image: Any) -> None:
     """Add voxels' light to an image (flat): the transpose of `sample`."""
     base, across, down = places
@@ -218,7 +218,7 @@ def back_project(
                     )
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
     """Add an image (flat), bilinearly interpolated, to voxels: transposed `_scatter`."""
     base, across, down = places
@@ -227,7 +227,7 @@ def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
             out[i] += sample_image(image, columns, base[i], across[i], down[i])
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def exp2(exponent: Any) -> Any:
     """Compute 2^x within 2e-7 of its value, x clipped to +-60, in vector registers."""
     x = min(max(exponent, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)

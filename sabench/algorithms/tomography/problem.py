@@ -18,7 +18,7 @@ from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import AT_ONCE, Grid
 from sabench.utils.arrays import F32, I64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.progress import progress_bar
 from sabench.utils.threads import on_cores
 
@@ -109,7 +109,7 @@ def _multiply_rows(
         )
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _multiply_block(
     geometry: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
@@ -128,7 +128,7 @@ def _multiply_block(
         counts[row] = _take_root(counts[row], x[row], product[row], views[row], values[row])
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _multiply_camera(
     geometry: Any, image: Any, threshold: float, place: Any, work: Any, voxels: Any
 ) -> int:
@@ -146,7 +146,7 @@ def _multiply_camera(
     return written
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _take_root(left: int, x: Any, product: Any, views: Any, values: Any) -> int:
     """Take the root of the product for voxels that any camera sees; count them."""
     written = 0

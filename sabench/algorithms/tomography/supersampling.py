@@ -18,7 +18,7 @@ from sabench.geometry.grid import Grid
 from sabench.images.gaussians import gaussian_shares
 from sabench.images.levels import ILLUMINATED, PERCENTILE
 from sabench.utils.arrays import F32, F64, triple
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import on_cores
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
@@ -132,7 +132,7 @@ def _gather(jobs: slice, fine: Any, shares: Any, volume: Any) -> None:
         _spread(total, along_x, volume[plane, row])
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _spread(total: Any, along: Any, out: Any) -> None:
     count, width = along.shape
     for x in range(len(total)):

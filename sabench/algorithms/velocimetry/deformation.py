@@ -7,11 +7,11 @@ import numpy as np
 
 from sabench.algorithms.refocus.rectification import POLE, TERMS
 from sabench.utils.arrays import F32
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import on_cores
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _mirror(index: int, count: int) -> int:
     """Mirror an index beyond the ends of a line into it, as often as it takes."""
     if count == 1:
@@ -46,7 +46,7 @@ def _filter_depths(jobs: slice, out: Any, pole: Any) -> None:
         _filter_rows(out[:, y], pole)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _filter_line(line: Any, pole: Any) -> None:
     count = len(line)
     if count < 2:
@@ -65,7 +65,7 @@ def _filter_line(line: Any, pole: Any) -> None:
         line[n] *= np.float32(6.0)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _filter_rows(plane: Any, pole: Any) -> None:
     count, width = plane.shape
     if count < 2:
@@ -92,7 +92,7 @@ def _filter_rows(plane: Any, pole: Any) -> None:
             plane[n, x] *= np.float32(6.0)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _cubic(part: Any) -> Any:
     """Compute weights of the four nearest coefficients.
 
@@ -162,7 +162,7 @@ def deform(
         _read_row(coefficients, positions, corners, z, y, out, beyond)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _read_row(
     coefficients: Any, positions: Any, corners: Any, z: int, y: int, out: Any, beyond: Any
 ) -> None:
@@ -183,7 +183,7 @@ def _read_row(
         first = end
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _read_edge(
     coefficients: Any, positions: Any, corners: Any, first: int, end: int, out: Any, beyond: Any
 ) -> None:
@@ -201,13 +201,13 @@ def _read_edge(
             out[x] = _sample(coefficients, (i, j, k), part)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _is_beyond(voxel: int, part: Any, count: int) -> bool:
     """Return whether a point, a part of a step after a voxel, is outside."""
     return voxel < 0 or voxel >= count or (voxel == count - 1 and part > 0.0)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
@@ -228,7 +228,7 @@ def _aim(
             corners[axis, x], positions[axis, x] = whole, move - whole
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _alike(corners: Any, first: int) -> int:
     """Find the next voxel that is not read next to its neighbour's position."""
     end = first + 1
@@ -241,7 +241,7 @@ def _alike(corners: Any, first: int) -> int:
     return end
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
+@inner_kernel(fastmath=True, forceinline=True)
 def _along(flat: Any, at: Any, w: Any) -> Any:
     one = np.uint64(1)
     return (
@@ -252,7 +252,7 @@ def _along(flat: Any, at: Any, w: Any) -> Any:
     )
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
+@inner_kernel(fastmath=True, forceinline=True)
 def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
     return (
         v[0] * _along(flat, at - width, w)
@@ -262,7 +262,7 @@ def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
     )
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
+@inner_kernel(fastmath=True, forceinline=True)
 def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -> Any:
     """Interpolate between a voxel and the next ones, out of 4 x 4 rows.
 
@@ -277,7 +277,7 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
     )
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _stretch(
     flat: Any, at: int, width: int, plane: int, positions: Any, first: int, end: int, out: Any
 ) -> None:
@@ -290,7 +290,7 @@ def _stretch(
         )
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _row_field(field: Any, z: float, y: float) -> Any:
     """Interpolate the displacements of one row in z and y: (x, 3)."""
     above, back = (
@@ -304,7 +304,7 @@ def _row_field(field: Any, z: float, y: float) -> Any:
     )
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _sample(c: Any, corner: Any, parts: Any) -> Any:
     """Interpolate one value, near a face of the volume."""
     depth, height, width = c.shape

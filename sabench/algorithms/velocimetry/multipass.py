@@ -23,7 +23,7 @@ from sabench.algorithms.velocimetry.windows import (
 from sabench.api import Velocity
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, Bool, triple
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.progress import progress_bar
 from sabench.utils.threads import on_cores
 
@@ -144,7 +144,7 @@ def medians(jobs: slice, padded: Any, middle: Any, spread: Any) -> None:
                 middle[z, y, x, axis], spread[z, y, x, axis] = half, _median(values, count)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _median(values: Any, count: int) -> Any:
     """Compute the median of the first values, which are left in order."""
     if count == 0:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.fft
 
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.utils.threads import on_cores
@@ -64,7 +64,7 @@ def block_sums(
                         squares[bz, by, bx, position + n] = square
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _add_rows(first: Any, second: Any, search: int, rows: Any) -> None:
     """Add products of rows and the second's squares.
 
@@ -126,13 +126,13 @@ def small_peaks(
             height[z, y, x] = _highest(curve, search, shift[z, y, x])
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _add(weight: Any, values: Any, total: Any) -> None:
     for n in range(len(total)):
         total[n] += weight * values[n]
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _normalise(sums: Any, floor: float, curve: Any) -> None:
     """Compute the correlation over shifts.
 
@@ -146,7 +146,7 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
         curve[n] = (sums[0, n] + sums[1, count - 1 - n]) / scale if scale > 2.0 * floor else 0.0
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _highest(curve: Any, search: Any, shift: Any) -> Any:
     """Fill in the best small shift's refined position (x, y, z); return its height."""
     top = 0
@@ -168,7 +168,7 @@ def _highest(curve: Any, search: Any, shift: Any) -> Any:
     return curve[top]
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _vertex(before: float, here: float, after: float) -> float:
     """Locate the peak of the Gaussian, or of a parabola, through three values."""
     if min(before, here, after) > 0.0:
@@ -225,7 +225,7 @@ def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
         height[n], ratio[n] = here, here / max(flat[_largest(flat)], 1e-12 * here, 1e-30)
 
 
-@numba.njit(cache=True, fastmath=True)
+@inner_kernel(fastmath=True)
 def _largest(values: Any) -> int:
     """Find the first of the largest values, which is found without branches."""
     most = values[0]
@@ -237,7 +237,7 @@ def _largest(values: Any) -> int:
     return 0
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _to_displacement(position: int, count: int) -> int:
     return position - count if position > count // 2 else position
 

@@ -26,7 +26,7 @@ from sabench.geometry.refraction import Layer, Wall, trace_to_points, transmitta
 from sabench.scenes import Scene
 from sabench.simulation.rendering.particle_light import Scatterers, intensity
 from sabench.utils.arrays import F64, I64, Bool, in_box, triple
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import on_cores
 
 _CHUNK = 8192  # points at a time, of exact paths
@@ -191,7 +191,7 @@ def _evaluate(
         _evaluate_block(points, block * BLOCK, low, high, terms, coefficients, out)
 
 
-@numba.njit(cache=True, fastmath={"contract", "nsz"})
+@inner_kernel(fastmath={"contract", "nsz"})
 def _evaluate_block(
     points: Any, first: int, low: Any, high: Any, terms: Any, coefficients: Any, out: Any
 ) -> None:

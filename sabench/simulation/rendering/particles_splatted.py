@@ -20,7 +20,7 @@ from sabench.geometry.camera import Camera
 from sabench.images.gaussian_kernels import fill_shares
 from sabench.simulation.rendering.particle_images import REACH, ParticleImages, diffraction_px
 from sabench.utils.arrays import F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import on_cores
 from sabench.utils.vector_units import add_products, whole_lanes
 
@@ -152,7 +152,7 @@ def _add_windows(jobs: slice, odd: int, image: Any, starts: Any, windows: Any) -
         _add_band(image, starts[band], starts[band + 1], windows)
 
 
-@numba.njit(cache=True, fastmath=_ANY_ORDER)
+@inner_kernel(fastmath=_ANY_ORDER)
 def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
     if first == last:
         return
@@ -200,7 +200,7 @@ def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
 # row: h is the normal density times Hermite's polynomial of order n - 1, over the root of (n - 1)!.
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _count_terms(tilt: float) -> int:
     """Count the terms of a series, with the one that has no correlation."""
     power, n = abs(tilt), 1
@@ -209,7 +209,7 @@ def _count_terms(tilt: float) -> int:
     return n
 
 
-@numba.njit(cache=True, fastmath=_ANY_ORDER)
+@inner_kernel(fastmath=_ANY_ORDER)
 def _fill_terms(
     center: float, sigma: float, first: int, size: int, terms: int, edges: Any, factors: Any
 ) -> None:
@@ -229,7 +229,7 @@ def _fill_terms(
             older[i], h[i] = h[i], higher
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _fill_density(center: float, sigma: float, first: int, size: int, z: Any, h: Any) -> None:
     """Fill in equally spaced numbers and their normal density.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from sabench.scenes.sensor import Sensor
 from sabench.utils.arrays import F64, U16
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.errors import InputError
 from sabench.utils.philox import block, draw_key, fill_blocks
 from sabench.utils.threads import on_cores
@@ -61,7 +61,7 @@ def _uniform(high: Any, low: Any) -> Any:
     return np.int64((high << _SHIFT) | (low >> _UNUSED)) * 2.0**-53
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def fill_normals(key: Any, row: Any, blocks: Any, numbers: Any) -> None:
     """Fill in standard normal numbers (column,) of a row for read noise.
 
@@ -77,7 +77,7 @@ def fill_normals(key: Any, row: Any, blocks: Any, numbers: Any) -> None:
             numbers[column] = _normal(key, np.uint64(column), row, READ, words)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def fill_poisson(key: Any, row: Any, blocks: Any, means: Any, numbers: Any) -> None:
     """Fill in Poisson numbers (column,) of a row for its means (column,).
 
@@ -100,7 +100,7 @@ def fill_poisson(key: Any, row: Any, blocks: Any, means: Any, numbers: Any) -> N
             numbers[column] = _poisson(key, np.uint64(column), row, words, means[column])
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _words(blocks: Any, column: int) -> Any:
     return (
         np.uint64(blocks[0, column]),
@@ -121,7 +121,7 @@ def _try_normal(high: Any, low: Any) -> Any:
     return x if low & _SIGN else -x, x < _EDGES[layer + _ONE]
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _normal(key: Any, column: Any, row: Any, purpose: Any, words: Any) -> Any:
     """Draw a standard normal number; it takes the first two words.
 
@@ -150,7 +150,7 @@ def _normal(key: Any, column: Any, row: Any, purpose: Any, words: Any) -> Any:
             return math.copysign(x, first)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
     """Draw a Poisson number."""
     if mean >= _LARGE:
@@ -166,7 +166,7 @@ def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
     return float(k) + _invert(_uniform(words[2], words[3]), mean - cell / _PER_UNIT)
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _invert(u: float, mean: float) -> Any:
     """Find a small mean's first number with a cumulative probability above u."""
     if u < 1.0 - mean:  # which is less than exp(-mean)
@@ -185,7 +185,7 @@ def _invert(u: float, mean: float) -> Any:
 # probability is larger, drawn by rejection from a double exponential.
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
     root = math.sqrt(mean)
     k = np.floor(mean + root * _normal(key, column, row, SHOT, words))
@@ -208,7 +208,7 @@ def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> An
             return k
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _normal_share(k: float, mean: float, root: float) -> Any:
     """Compute the share of a normal distribution from k to k + 1."""
     x, step = (k - mean) / (root * math.sqrt(2.0)), 1.0 / (root * math.sqrt(2.0))
@@ -217,7 +217,7 @@ def _normal_share(k: float, mean: float, root: float) -> Any:
     return 0.5 * (math.erfc(-x - step) - math.erfc(-x))
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _chance(k: float, mean: float) -> Any:
     """Compute the probability of a Poisson number, without cancellation.
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from sabench.api.truth import Solid
 from sabench.utils.arrays import F32, F64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.errors import InputError
 
 # of a lattice: a quarter of a gigabyte, and about twice that while its surface is taken
@@ -181,7 +181,7 @@ def _union(points: Any, cones: Any, blend: float, out: Any) -> None:
         out[n] = least - blend * np.log(max(total, 1.0))  # 1 is the least one's own
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _distance(square: float, along: float, length: float, radius: float, sine: float) -> float:
     """Compute the least distance to a cone's balls.
 

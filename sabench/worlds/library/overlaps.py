@@ -11,7 +11,7 @@ import numpy as np
 
 from sabench.api.truth import Bubbles, Solid
 from sabench.utils.arrays import F64, I64, Bool
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.threads import on_cores
 
 
@@ -138,7 +138,7 @@ def _touch(centers: Any, to_ball: Any, radius: Any, vertices: Any, faces: Any, o
                 break
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _nearest(t: Any) -> Any:
     """Compute the squared distance of a triangle (3, 3) from the origin."""
     best = np.inf
@@ -181,7 +181,7 @@ def _contacts(center: Any, first: Any, other: Any, second: Any, out: Any) -> Non
         out[n] = contact_factor(center[n], first[n], other[n], second[n])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def contact_factor(center: Any, first: Any, other: Any, second: Any) -> Any:
     """Maximise the contact function over x from 0 to 1.
 
@@ -203,7 +203,7 @@ def contact_factor(center: Any, first: Any, other: Any, second: Any) -> Any:
     return max(fa, fb)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _at(x: float, center: Any, first: Any, other: Any, second: Any) -> Any:
     """Evaluate the contact function at one x, by Cramer's rule."""
     y, m = 1.0 - x, np.empty(6)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sabench.utils.arrays import F64, I64
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.errors import InputError
 from sabench.worlds.library.overlaps import contact_factor, shapes_of
 
@@ -75,13 +75,13 @@ def _place(left: Any, tried: Any, centers: Any, bodies: Any, grid: Any) -> Any:
     return placed
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _cell(point: Any, axis: int, grid: Any) -> Any:
     cells, low, width = grid
     return min(max(int((point[axis] - low[axis]) / width), 0), cells[axis] - 1)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _enter(n: int, point: Any, heads: Any, chain: Any, grid: Any) -> None:
     i, j, k = _cell(point, 0, grid), _cell(point, 1, grid), _cell(point, 2, grid)
     where = (k * grid[0][1] + j) * grid[0][0] + i
@@ -89,7 +89,7 @@ def _enter(n: int, point: Any, heads: Any, chain: Any, grid: Any) -> None:
     heads[where] = n
 
 
-@numba.njit(cache=True, error_model="numpy")
+@inner_kernel(error_model="numpy")
 def _fits(n: int, point: Any, centers: Any, bodies: Any, heads: Any, chain: Any, grid: Any) -> bool:
     (shapes, largest, smallest), cells = bodies, grid[0]
     i, j, k = _cell(point, 0, grid), _cell(point, 1, grid), _cell(point, 2, grid)

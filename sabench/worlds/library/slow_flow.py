@@ -16,7 +16,7 @@ import numpy as np
 from sabench.api.truth import Solid
 from sabench.geometry.grid import vorticity
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.compiled import numba
+from sabench.utils.compiled import inner_kernel, numba
 from sabench.utils.errors import InputError
 from sabench.utils.threads import on_cores
 from sabench.worlds.library.overlaps import contains
@@ -173,7 +173,7 @@ class _Oseen:
         return np.ascontiguousarray(fft.irfftn(modes, self._box.shape, axes=(0, 1, 2)))
 
 
-@numba.njit(cache=True)
+@inner_kernel()
 def _weights(part: float, out: Any) -> None:
     """Fill values, slopes and bends (3, 4) of the four cubic B-splines."""
     t, r = part, 1.0 - part
