@@ -20,8 +20,9 @@ import numpy as np
 import psutil
 
 from sabench.apps.viewer.contents import Frame, PageContents, of_scene
-from sabench.apps.viewer.points import OBJECT_KINDS, ObjectCloud
+from sabench.apps.viewer.points import ObjectCloud
 from sabench.apps.viewer.view import render_contents
+from sabench.plotting.kinds import KINDS
 from sabench.scenes import Scene, load_scene
 from tests.helpers.browser import Browser, chromium
 
@@ -64,10 +65,10 @@ def made_up(count: int) -> PageContents:
     rng, contents = np.random.default_rng(1), of_scene(rig_of_25(), "made up")
     around = contents.surroundings
     position = rng.uniform(around.low_mm, around.high_mm, (count, 3))
-    kind = rng.choice(len(OBJECT_KINDS), count, p=_SHARES).astype(np.uint8)
+    kind = rng.choice(len(KINDS), count, p=_SHARES).astype(np.uint8)
     cloud = ObjectCloud.of_kind(position, kind, velocity_mm_s=rng.normal(0.0, 10.0, (count, 3)))
     nothing = ObjectCloud.of_kind(np.zeros((0, 3)), 0)
-    labels = {name: name for name in OBJECT_KINDS}
+    labels = {name: name for name in KINDS}
     return replace(contents, frames=(Frame(0, 0.0, cloud, nothing),), labels=labels)
 
 

@@ -1,57 +1,207 @@
-"""Compose the picture of README from figures of the thesis: python docs/images/front.py.
+"""Draw the picture of README from the scene particle-tracking: python docs/images/front.py [FILE].
 
-`sabench reproduce fig-1-3 fig-6-5 --figures docs/images` draws the figures.
+The rig, an image, a reconstruction against the truth, and trajectories, on a white card that is
+read in light and dark mode and on a phone.
 """
 
+import sys
+import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
-import cv2
+import matplotlib
 import numpy as np
-import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon, Rectangle
+from PIL import Image
 
-_FOLDER = Path(__file__).parent
-_HEIGHT, _GAP = 330, 14
+import sabench
+from sabench.api import Reconstruction
+from sabench.apps.viewer.contents import Frame, of_dataset
+from sabench.apps.viewer.points import link_to_earlier
+from sabench.apps.viewer.surroundings import Surroundings
+from sabench.dataset.reader import Dataset
+from sabench.dataset.results import open_result
+from sabench.plotting.kinds import COLOURS, KINDS
+from sabench.plotting.pictures import BRIGHTEST, GAMMA, grey_levels
+from sabench.utils.arrays import F64
+
+_INK, _RAY, _GLASS, _WATER, _VOLUME = "#1b1f24", "#8a94a0", "#2a6f97", "#cfe6f5", "#f0c419"
+_BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+_MARKS = {"found": "o", "missed": "D", "ghost": "X", "duplicate": "^"}
+_TEXT = 23.0  # points at 100 dots per inch: 9 pixels on a screen of 390
 
 
-class Panel(NamedTuple):
-    """A part of a figure: its file, its box (left, top, right, bottom) in pixels, its caption."""
+class Eye:
+    """Perspective from a point towards another, Y down."""
 
-    figure: str
-    box: tuple[int, int, int, int]
-    caption: str
+    def __init__(self, place_mm: list[float], target_mm: list[float]) -> None:
+        self.place = np.array(place_mm)
+        ahead = np.array(target_mm) - self.place
+        ahead = ahead / np.linalg.norm(ahead)
+        right = np.cross([0.0, 1.0, 0.0], ahead)
+        right = right / np.linalg.norm(right)
+        self.axes = np.array([right, np.cross(ahead, right), ahead])
+
+    def __call__(self, points_mm: Any) -> F64:
+        """Project points (..., 3) to (..., 2)."""
+        seen = (np.asarray(points_mm, dtype=np.float64) - self.place) @ self.axes.T
+        return np.asarray(seen[..., :2] / seen[..., 2:])
 
 
-PANELS = (
-    Panel("fig-6-5", (58, 52, 544, 477), "a liquid jet, one of 9 cameras"),
-    Panel("fig-6-5", (58, 548, 544, 967), "refocused at one depth"),
-    Panel("fig-1-3", (566, 93, 843, 300), "a code behind bubbles, one of 25 cameras"),
-    Panel("fig-1-3", (514, 415, 894, 701), "refocused on the code"),
-)
+def box(axes: Any, eye: Eye, low: Any, high: Any, own: Any = None, **style: Any) -> None:
+    """Draw the faces of a box, the far ones first; `own` are its axes and its origin."""
+    corners = np.asarray(low) + _BOX * (np.asarray(high) - np.asarray(low))
+    if own is not None:
+        corners = own[1] + corners @ own[0]
+    faces = [corners[list(face)] for face in _FACES]
+    for face in sorted(
+        faces, key=lambda face: -float(np.linalg.norm(face.mean(axis=0) - eye.place))
+    ):
+        axes.add_patch(Polygon(eye(face), **style))
 
 
-def tile(panel: Panel) -> npt.NDArray[np.uint8]:
-    """A panel of fixed height with its caption below and a margin to the right."""
-    figure = cv2.imread(str(_FOLDER / f"{panel.figure}.png"), cv2.IMREAD_GRAYSCALE)
-    assert figure is not None, panel.figure
-    left, top, right, bottom = panel.box
-    width = round((right - left) * _HEIGHT / (bottom - top))
-    picture = cv2.resize(figure[top:bottom, left:right], (width, _HEIGHT))
-    picture = cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=128.0)
-    strip = np.full((34, picture.shape[1]), 255, dtype=np.uint8)
-    cv2.putText(strip, panel.caption, (4, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.58, 0, 1, cv2.LINE_AA)
-    return np.asarray(
-        np.pad(np.vstack([picture, strip]), ((0, 0), (0, _GAP)), constant_values=255),
-        dtype=np.uint8,
+def draw_rig(axes: Any, around: Surroundings) -> None:
+    """Draw the rig, and its volume enlarged, with words."""
+    rig = around.describe()
+    eye = Eye([-165.0, -105.0, 235.0], [10.0, 5.0, -60.0])
+    zoom = axes.inset_axes((0.62, 0.33, 0.38, 0.38))
+    for place in (axes, zoom):
+        draw_parts(place, eye, rig)
+        place.set_aspect("equal")
+    axes.autoscale_view()
+    middle, half = eye(around.center_mm) + np.array([0.012, -0.004]), 0.062
+    zoom.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] + half, middle[1] - half))
+    zoom.set(xticks=[], yticks=[], anchor="W")
+    corner, line = (middle[0] - half, middle[1] - half), {"color": _INK, "lw": 1.5}
+    axes.add_patch(Rectangle(corner, 2.0 * half, 2.0 * half, fill=False, **line))
+    arrow = {"arrowprops": line | {"arrowstyle": "-", "shrinkA": 0, "shrinkB": 0}}
+    edge = eye([*rig["walls"][0]["high"], rig["walls"][0]["depths"][-1] / 2.0])
+    for start, end in ((middle + np.array([half, -0.5 * half]), (0.62, 0.5)), (edge, (0.36, 0.17))):
+        axes.annotate("", start, end, textcoords=axes.transAxes, **arrow)
+    style = {"fontsize": _TEXT, "color": _INK}
+    words = {"cameras": (0.5, 0.92), "water": (0.02, -0.03), "glass": (0.33, 0.09)}
+    for word, (x, y) in (words | {"volume": (0.66, 0.335)}).items():
+        axes.text(x, y, word, transform=axes.transAxes, **style, zorder=9)
+
+
+def draw_parts(axes: Any, eye: Eye, rig: dict[str, Any]) -> None:
+    """Draw cameras, their light paths, the wall, the tank and the volume."""
+    (wall,) = rig["walls"]
+    left, top = wall["low"]
+    right, bottom = wall["high"]
+    glass = wall["depths"][-1]
+    water = {"fc": _WATER, "ec": _GLASS, "lw": 1.5, "alpha": 0.45}
+    box(axes, eye, [left, top, glass], [right, bottom, wall["back"]], **water)
+    box(axes, eye, [left, top, 0.0], [right, bottom, glass], **water | {"fc": _GLASS})
+    for camera in rig["cameras"]:
+        paths = [path for path in camera["paths"][:: rig["side"]] if path[0][0] is not None]
+        for path in paths:
+            axes.plot(*eye(path).T, color=_RAY, lw=1.3)
+        own = np.array(camera["axes"]), np.array(camera["center"])
+        for low, high in (([-22, -22, -75], [22, 22, -20]), ([-13, -13, -20], [13, 13, 8])):
+            box(axes, eye, low, high, own, fc="#5b6672", ec=_INK, lw=1.0, zorder=3)
+    box(axes, eye, *rig["volume"], fc=_VOLUME, ec=_INK, lw=1.5, alpha=0.8)
+
+
+def draw_image(axes: Any, data: Dataset) -> None:
+    """Draw the first camera's first image."""
+    case = data.observation(0)
+    light = case.images[0].astype(np.float32) - np.float32(case.black_dn)
+    top = float(np.percentile(light, BRIGHTEST))
+    axes.imshow(grey_levels(light, top, GAMMA), cmap="gray", interpolation="nearest", aspect="auto")
+    margin = 0.1 * len(light)
+    axes.set_ylim(len(light) - margin, margin)
+
+
+def draw_reconstruction(axes: Any, data: Dataset, result: Path, window: Any) -> None:
+    """Draw the brightest voxel along Z in a window (x, y) in mm, and the particles' kinds."""
+    opened = open_result(result, data)
+    volume, grid = opened.read(Reconstruction).volume, data.setup.grid
+    low, high = grid.box_mm
+    flat = volume.max(axis=0)
+    extent = (low[0], high[0], high[1], low[1])
+    shown = grey_levels(flat, float(np.percentile(flat, BRIGHTEST)), GAMMA)
+    axes.imshow(shown, cmap="gray", extent=extent, interpolation="bilinear")
+    axes.set(xlim=window[0], ylim=window[1][::-1])
+    cloud = of_dataset(data, opened).frames[0].particles
+    x, y = cloud.position_mm[:, :2].T
+    inside = (x > window[0][0]) & (x < window[0][1]) & (y > window[1][0]) & (y < window[1][1])
+    for kind, marker in _MARKS.items():
+        rows = inside & (cloud.kind == KINDS.index(kind))
+        if rows.any():
+            style = {"fillstyle": "none", "ms": 17, "mew": 3.5, "ls": "", "color": COLOURS[kind]}
+            axes.plot(x[rows], y[rows], marker=marker, label=f"{kind} {rows.sum()}", **style)
+    place = {"loc": "upper left", "bbox_to_anchor": (-0.03, 0.0), "borderpad": 0.2}
+    style = {"handletextpad": 0.0, "columnspacing": 0.5, "fontsize": _TEXT, "frameon": False}
+    axes.legend(ncols=len(_MARKS), **place, **style)
+
+
+def draw_trajectories(axes: Any, frames: tuple[Frame, ...], around: Surroundings) -> Any:
+    """Draw the found trajectories over all frames in the volume, coloured by speed."""
+    middle = around.center_mm
+    eye = Eye([*(middle + np.array([-14.0, -13.0, -24.0]))], [*middle])
+    box(axes, eye, around.low_mm, around.high_mm, fc="none", ec=_RAY, lw=1.2)
+    every = [frame.particles for frame in frames]
+    clouds = [cloud.select(cloud.kind == KINDS.index("found")) for cloud in every]
+    lines, speeds = [], []
+    for cloud, earlier in zip(clouds[1:], clouds, strict=False):
+        rows = link_to_earlier(cloud, earlier)
+        now = np.flatnonzero(rows >= 0)
+        ends = earlier.position_mm[rows[now]], cloud.position_mm[now]
+        lines.append(eye(np.stack(ends, axis=1)))
+        speeds.append(np.linalg.norm(cloud.velocity_mm_s[now], axis=1))
+    values = np.concatenate(speeds)
+    shown = LineCollection(np.concatenate(lines), cmap="viridis", lw=2.6, capstyle="round")
+    shown.set_array(values)
+    shown.set_clim(0.0, float(np.percentile(values, 98.0)))
+    axes.add_collection(shown)
+    return shown
+
+
+def main(file: str = str(Path(__file__).with_name("front.png"))) -> None:
+    """Generate, solve and draw."""
+    matplotlib.rcParams["font.family"] = "DejaVu Sans"
+    sheet = Figure(figsize=(14.0, 12.4), dpi=100)
+    frame = {"fill": False, "ec": "#d5dae0", "lw": 3.0, "transform": sheet.transFigure}
+    sheet.add_artist(Rectangle((0.0, 0.0), 1.0, 1.0, **frame))
+    places = [(0.02, 0.54), (0.52, 0.54), (0.02, 0.075), (0.52, 0.075)]
+    titles = (
+        "1  rig",
+        "2  what a camera records",
+        "3  reconstruction, scored",
+        "4  trajectories, mm/s",
     )
-
-
-def main() -> None:
-    """All panels in a row."""
-    row = np.hstack([tile(panel) for panel in PANELS])[:, :-_GAP]
-    path = str(_FOLDER / "front.png")
-    cv2.imwrite(path, row, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    panels: list[Any] = []
+    for (x, y), title in zip(places, titles, strict=True):
+        panels.append(sheet.add_axes((x, y, 0.46, 0.41), anchor="NW"))
+        panels[-1].set_title(title, fontsize=_TEXT, color=_INK, loc="left", weight="bold", pad=8)
+        panels[-1].set(xticks=[], yticks=[])
+    with tempfile.TemporaryDirectory() as folder:
+        data = sabench.generate("particle-tracking", Path(folder, "data"), seed=1)
+        for solver, own in (("msa", {"k": 1.5}), ("shake_the_box", {})):
+            sabench.solve(solver, data, Path(folder, f"{solver}.h5"), parameters=own)
+        contents = of_dataset(data, open_result(Path(folder, "shake_the_box.h5"), data))
+        draw_rig(panels[0], contents.surroundings)
+        draw_image(panels[1], data)
+        draw_reconstruction(panels[2], data, Path(folder, "msa.h5"), ((-2.8, 1.4), (-1.8, 1.52)))
+        speeds = draw_trajectories(panels[3], contents.frames, contents.surroundings)
+    for panel in (panels[0], panels[3]):
+        panel.set_aspect("equal")
+        panel.autoscale_view()
+        panel.invert_yaxis()
+        panel.axis("off")
+    place = sheet.add_axes((0.53, 0.058, 0.41, 0.02))
+    bar = sheet.colorbar(speeds, cax=place, orientation="horizontal")
+    bar.ax.tick_params(labelsize=_TEXT - 3)
+    canvas = FigureCanvasAgg(sheet)
+    canvas.draw()
+    card = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    card.quantize(256, dither=Image.Dither.NONE).save(file, optimize=True)
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

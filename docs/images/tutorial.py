@@ -13,11 +13,19 @@ import numpy.typing as npt
 
 import sabench
 from sabench.api import Reconstruction
-from sabench.metrics.reconstruction_error import true_field
+from sabench.apps.viewer.contents import of_dataset
+from sabench.plotting.kinds import KINDS, rgb
 from sabench.plotting.pictures import montage
 
 _WINDOW = slice(40, 130), slice(80, 230)  # rows and columns of voxels: a part of the volume
 _ZOOM = 6  # pixels of a voxel
+# shapes and sizes in pixels; None: a circle of this radius
+_MARKS = {
+    "found": (None, 15),
+    "missed": (cv2.MARKER_DIAMOND, 32),
+    "ghost": (cv2.MARKER_TILTED_CROSS, 26),
+    "duplicate": (cv2.MARKER_TRIANGLE_UP, 28),
+}
 
 
 def seen_from_front(volume: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
@@ -35,18 +43,18 @@ def main(data: str, result: str, folder: str = ".") -> None:
         montage(images, levels.black_level_dn, float(levels.white_dn))
     )
     found = sabench.open_result(result, dataset)
-    volume = found.read(Reconstruction).volume
-    truth = true_field(found.grid, dataset.particles(0), dataset.views(0))
-    true = seen_from_front(truth)
-    estimate = cv2.dilate(seen_from_front(volume), np.ones((3, 3)))  # as wide as true particles
-    colours = np.stack([true, true, estimate], axis=-1)  # blue, green, red
-    sheet = cv2.resize(
-        np.asarray(255.0 * colours, dtype=np.uint8),
-        None,
-        fx=_ZOOM,
-        fy=_ZOOM,
-        interpolation=cv2.INTER_NEAREST,
-    )
+    grey = np.asarray(255.0 * seen_from_front(found.read(Reconstruction).volume), dtype=np.uint8)
+    sheet = cv2.resize(grey, None, fx=_ZOOM, fy=_ZOOM, interpolation=cv2.INTER_NEAREST)
+    sheet = cv2.cvtColor(sheet, cv2.COLOR_GRAY2BGR)
+    cloud = of_dataset(dataset, found).frames[0].particles
+    corner = np.array([_WINDOW[1].start, _WINDOW[0].start])
+    places = (found.grid.to_voxels(cloud.position_mm)[:, :2] - corner + 0.5) * _ZOOM
+    for kind, (mark, size) in _MARKS.items():
+        for place in np.rint(places[cloud.kind == KINDS.index(kind)]).astype(int).tolist():
+            if mark is None:
+                cv2.circle(sheet, place, size, rgb(kind)[::-1], 2, cv2.LINE_AA)
+            else:
+                cv2.drawMarker(sheet, place, rgb(kind)[::-1], mark, size, 2, cv2.LINE_AA)
     cv2.imwrite(str(Path(folder) / "tutorial-ghosts.png"), sheet, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 

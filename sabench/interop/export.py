@@ -29,6 +29,7 @@ from sabench.interop.foreign import ForeignWorld, Recording, note, of_estimates,
 from sabench.interop.image_statistics import measure_frame
 from sabench.interop.openptv_files import FIRST
 from sabench.interop.tracks import TrackFormat, write_tracks
+from sabench.plotting.kinds import COLOURS, rgb
 from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing
@@ -98,6 +99,7 @@ def write_state(root: Path, home: Path) -> None:
     `home` is the folder's final path, for a ParaView that does not give it to the state.
     """
     text = _TEMPLATE.read_text(encoding="utf-8").replace("{{ folder }}", repr(str(home)))
+    text = text.replace("{{ colors }}", repr({kind: rgb(kind) for kind in COLOURS}))
     (root / NAME).write_text(text, encoding="utf-8")
 
 

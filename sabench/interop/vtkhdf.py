@@ -18,8 +18,9 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import border_pixels, light_paths
 from sabench.geometry.grid import Grid, divergence, gradient, vorticity
 from sabench.metrics.bubble_detection import AnyBubbles, match_bubbles
-from sabench.metrics.particle_detection import challenge_pairs
+from sabench.metrics.particle_detection import classify
 from sabench.metrics.reconstruction_error import true_field
+from sabench.plotting.kinds import FOUND, GHOST
 from sabench.scenes import BubbleWorld
 from sabench.tasks.velocimetry import truth_at
 from sabench.utils.arrays import F64, I64
@@ -119,7 +120,7 @@ def _write_detections(root: Path, data: Dataset, frame: int, estimate: Detection
         hit[i], identity[i] = 1, true.id[j]
         error_mm[i] = estimate.center_mm[i] - true.center_mm[j]
         radius_mm[i] = estimate.radius_mm[i] - true.radius_mm[j]
-        values |= {"matched": hit, "true_id": identity}
+        values |= {"matched": hit, "true_id": identity, "kind": np.where(hit, FOUND, GHOST)}
         values |= {"error_mm": error_mm, "radius_error_mm": radius_mm}
     write_points(root / f"bubbles_{frame:04d}.vtkhdf", estimate.center_mm, values)
 
@@ -129,10 +130,10 @@ def _write_particles(root: Path, data: Dataset, frame: int, cloud: FoundParticle
     about: Data = {name: array for name, array in given.items() if array is not None}
     if data.has_truth:
         true, grid = data.particles(frame), data.setup.grid
-        i, j = challenge_pairs(grid.to_voxels(cloud.position_mm), grid.to_voxels(true.position_mm))
-        identity = np.full(len(cloud.position_mm), -1)
+        kind, i, j = classify(grid.to_voxels(cloud.position_mm), grid.to_voxels(true.position_mm))
+        identity = np.full(len(kind), -1)
         identity[i] = true.id[j]
-        about |= {"matched": (identity >= 0).astype(np.uint8), "true_id": identity}
+        about |= {"matched": (kind == FOUND).astype(np.uint8), "true_id": identity, "kind": kind}
         missed = ~np.isin(true.id, identity) & grid.in_scored(grid.to_voxels(true.position_mm))
         path = root / f"missed_{frame:04d}.vtkhdf"
         write_points(path, true.position_mm[missed], {"id": true.id[missed]})

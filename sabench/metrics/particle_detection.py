@@ -12,7 +12,8 @@ import numpy as np
 from scipy.ndimage import label, maximum_filter
 from scipy.spatial import cKDTree
 
-from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.plotting.kinds import DUPLICATE, FOUND, GHOST
+from sabench.utils.arrays import F32, F64, I64, U8, Bool
 
 _AROUND = np.ones((3, 3, 3), dtype=np.bool_)
 
@@ -203,31 +204,20 @@ def f1_over_distance(
     estimate: F64, truth: F64, scored_estimate: Bool, scored_truth: Bool, radii: Sequence[float]
 ) -> F64:
     """Compute F1 by the rule of `count_challenge` over radii in voxels."""
-    curve = []
-    for radius in radii:
-        a, b = challenge_pairs(estimate, truth, radius)
-        curve.append(_counts(a, b, estimate, truth, scored_estimate, scored_truth).f1)
-    return np.array(curve)
+    pairs = (challenge_pairs(estimate, truth, radius) for radius in radii)
+    scored = scored_estimate, scored_truth
+    return np.array([_counts(i, j, estimate, truth, *scored).f1 for i, j in pairs])
 
 
-def count_duplicates(estimate: F64, truth: F64, scored_estimate: Bool) -> int:
-    """Count the scored detections of true particles that have a better one."""
-    a, _ = challenge_pairs(estimate, truth)
-    return int((mark_duplicates(estimate, truth, a) & scored_estimate).sum())
-
-
-def mark_duplicates(estimate: F64, truth: F64, matched: I64) -> Bool:
-    """Mark detections (n,) of true particles that have a better one.
-
-    `matched` are the rows of the detections in pairs; see `challenge_pairs`.
-    """
-    duplicate = np.zeros(len(estimate), dtype=np.bool_)
-    alone = np.setdiff1d(np.arange(len(estimate)), matched)
-    if len(alone) and len(truth):
-        limit = CHALLENGE_RADIUS
-        apart, _ = cKDTree(truth).query(estimate[alone], p=np.inf, distance_upper_bound=limit)
-        duplicate[alone] = apart < limit
-    return duplicate
+def classify(estimate: F64, truth: F64) -> tuple[U8, I64, I64]:
+    """Return the kinds (n,) of detections, and the rows of `challenge_pairs`."""
+    kind = np.full(len(estimate), GHOST, dtype=np.uint8)
+    if len(estimate) and len(truth):
+        apart, _ = cKDTree(truth).query(estimate, p=np.inf)
+        kind[apart < CHALLENGE_RADIUS] = DUPLICATE
+    i, j = challenge_pairs(estimate, truth)
+    kind[i] = FOUND
+    return kind, i, j
 
 
 def challenge_pairs(estimate: F64, truth: F64, radius: float = CHALLENGE_RADIUS) -> tuple[I64, I64]:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sabench.plotting.kinds import COLOURS
+
 _PANEL_INCH = (4.2, 3.2)
 
 
@@ -61,7 +63,7 @@ class Slice:
 
 @dataclass(frozen=True)
 class Circles:
-    """Circles (n,) of one colour; several kinds may share a panel.
+    """Circles (n,) in the colour of a kind, their label; kinds may share a panel.
 
     Radii are in the unit of the axes; y points downwards.
     """
@@ -187,7 +189,7 @@ def _fill(axes: Any, panel: Panel) -> None:
         elif isinstance(item, Discs):
             _discs(axes, item)
         elif isinstance(item, Circles):
-            _circles(axes, item, colour)
+            _circles(axes, item)
         elif isinstance(item, Picture):
             _picture(axes, item)
         elif isinstance(item, Space):
@@ -263,8 +265,9 @@ def _discs(axes: Any, discs: Discs) -> None:
     axes.grid(visible=False)
 
 
-def _circles(axes: Any, circles: Circles, colour: str) -> None:
+def _circles(axes: Any, circles: Circles) -> None:
     widths, positions = 2.0 * circles.radius, np.column_stack([circles.x, circles.y])
+    colour = COLOURS[circles.label]
     style = {"facecolors": f"{colour}55", "edgecolors": colour, "linewidths": 0.8}
     _add_ellipses(axes, positions, widths, **style)
     # the legend's entry

@@ -1,16 +1,16 @@
 """Small PNG images for the page: camera images and slices of volumes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from sabench.plotting.kinds import rgb
 from sabench.utils.arrays import F32, F64, U8, U16, Bool
 from sabench.utils.number_text import round_down
 
-Colour = tuple[float, float, float]
 AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
 _MONTAGE_PX = 900  # widest mosaic
@@ -22,16 +22,9 @@ BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
 ENLARGED_PX = 400  # side of a slice's image
-# Blue, green, red of detections on black, which the colour-blind can distinguish
-FOUND: Colour = (135.0, 200.0, 40.0)
-MISSED: Colour = (233.0, 180.0, 86.0)
-GHOSTS: Colour = (0.0, 159.0, 230.0)
-# Blue, green, red of errors, equally dark, which the colour-blind can distinguish: the ends and the
-# middle of RdBu.
-_MISSING, _RIGHT, _TOO_MUCH = (
-    np.array(colour, dtype=np.float64)
-    for colour in ((172.0, 102.0, 33.0), (247.0, 247.0, 247.0), (43.0, 24.0, 178.0))
-)
+# Blue, green, red of light: missing as missed particles, too much as ghosts
+_MISSING, _TOO_MUCH = (np.array(rgb(kind)[::-1], np.float64) for kind in ("missed", "ghost"))
+_RIGHT = np.full(3, 247.0)
 
 
 def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
@@ -91,7 +84,7 @@ def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
 def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> bytes:
     """Draw the same window of a volume (z, y, x) minus the truth, as a PNG.
 
-    White: right. Red: too much light. Blue: missing light.
+    White: right. Orange: too much light. Blue: missing light.
 
     The volume is first scaled so that its squared difference to the truth in the scored part is
     least, as its scale is arbitrary. Colours follow the square root of the difference, up to the
@@ -105,20 +98,20 @@ def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> 
     return _png(_enlarge(np.rint(_RIGHT + strength * (ends - _RIGHT)).astype(np.uint8)))
 
 
-def class_slice(parts: Sequence[tuple[F32, Colour]], scored: tuple[slice, slice, slice]) -> bytes:
-    """Draw the same window of several volumes, each in a colour on black, as a PNG.
+def class_slice(parts: Mapping[str, F32], scored: tuple[slice, slice, slice]) -> bytes:
+    """Draw the same window of volumes, each in its kind's colour, as a PNG.
 
     Brightness is the square root of the intensity, up to the largest; colours add.
 
     Parameters
     ----------
-    parts : volumes (z, y, x) with their colours: blue, green, red, 0 to 255.
+    parts : volumes (z, y, x) by their kinds.
     """
-    windows = [_window(volume[scored]) for volume, _ in parts]
-    top = max(float(window.max()) for window in windows) or 1.0
+    windows = {kind: _window(volume[scored]) for kind, volume in parts.items()}
+    top = max(float(window.max()) for window in windows.values()) or 1.0
     light = sum(
-        np.sqrt(np.maximum(window, 0.0) / top)[..., None] * np.asarray(colour)
-        for window, (_, colour) in zip(windows, parts, strict=True)
+        np.sqrt(np.maximum(window, 0.0) / top)[..., None] * np.array(rgb(kind)[::-1])
+        for kind, window in windows.items()
     )
     return _png(_enlarge(np.rint(np.clip(light, 0.0, 255.0)).astype(np.uint8)))
 
@@ -175,7 +168,7 @@ def _enlarge(pixels: U8, size_px: int = ENLARGED_PX) -> U8:
 def read_picture(dark: Bool, right: Bool) -> bytes:
     """Draw the cells (rows, columns) of a code that are read right, as a PNG.
 
-    Black and white: right. Red: a dark cell read as bright. Blue: a bright cell read as dark.
+    Black and white: right. Orange: a dark cell read as bright. Blue: a bright one read as dark.
     """
     truth = np.where(dark[..., None], 0.0, _RIGHT)
     wrong = np.where(dark[..., None], _TOO_MUCH, _MISSING)

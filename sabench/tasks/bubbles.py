@@ -64,14 +64,13 @@ def _inch(center_mm: F64) -> tuple[float, float]:
 
 
 def detection_figure(found: AnyBubbles, true: AnyBubbles) -> Figure:
-    """Draw the found, missed and false bubbles across X-Y and Z-Y."""
+    """Draw the found, missed and ghost bubbles across X-Y and Z-Y."""
     i, j = match_bubbles(found.center_mm, true.center_mm, true.radius_mm)
-    ghosts, missed = (
-        np.setdiff1d(np.arange(len(bubbles.radius_mm)), hit)
-        for bubbles, hit in ((found, i), (true, j))
+    missed, ghosts = (
+        (np.delete(balls.center_mm, hit, axis=0), np.delete(balls.radius_mm, hit))
+        for balls, hit in ((true, j), (found, i))
     )
-    kinds = (("missed", true, missed), ("not there", found, ghosts), ("found", true, j))
-    circles = [(kind, balls.center_mm[rows], balls.radius_mm[rows]) for kind, balls, rows in kinds]
+    kinds = {"missed": missed, "ghost": ghosts, "found": (true.center_mm[j], true.radius_mm[j])}
     panels = tuple(
         Panel(
             view,
@@ -79,12 +78,12 @@ def detection_figure(found: AnyBubbles, true: AnyBubbles) -> Figure:
             "Y, mm",
             tuple(
                 Circles(kind, center_mm[:, axis], center_mm[:, 1], radius_mm)
-                for kind, center_mm, radius_mm in circles
+                for kind, (center_mm, radius_mm) in kinds.items()
             ),
         )
         for view, label, axis in (("front", "X, mm", 0), ("side", "Z, mm", 2))
     )
-    title = f"{len(j)} found, {len(missed)} missed, {len(ghosts)} not there"
+    title = f"{len(j)} found, {len(missed[1])} missed, {len(ghosts[1])} ghosts"
     return Figure(
         "errors", title, panels, inch=_inch(np.concatenate([true.center_mm, found.center_mm]))
     )
@@ -156,7 +155,7 @@ class BubblesTask(FrameByFrame):
         estimates="Every bubble as a circle of its radius, coloured by radius; X or Z to the "
         "right, Y down.",
         cameras="First frame of every camera.",
-        errors="Green bubbles were found, blue ones were missed, orange ones are false detections.",
+        errors="Green: found; blue: missed; orange: ghosts.",
         wide=True,
     )
 
@@ -234,7 +233,7 @@ class BubblesTask(FrameByFrame):
         return draw(bubble_figure(self.read(data, source, 0), "bubbles"))
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
-        """Draw the found, the missed and the false bubbles as a PNG."""
+        """Draw the found, missed and ghost bubbles as a PNG."""
         from sabench.plotting.drawing import draw
 
         return draw(detection_figure(self.read(data, result, 0), data.bubbles(0)))

@@ -18,6 +18,7 @@ from sabench.metrics import particle_detection
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
 from sabench.metrics.particle_bounds import brier_score, coverage, rms_over_bound
 from sabench.plotting import pictures
+from sabench.plotting.kinds import DUPLICATE, FOUND, GHOST
 from sabench.tasks import particles_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.solver_call import SolverClock, image_sequence
@@ -57,7 +58,7 @@ class ParticlesTask(Task):
               "every axis, one to one"),
         share("recall", 3, "share of the true particles that were found"),
         Score("ghost_percent", "smaller", 1,
-              "false detections, relative to the true ones", counted=True),
+              "ghosts, duplicates included, relative to the particles found", counted=True),
         Score("rms_px", "smaller", 3, "root mean square distance of found from true particles in "
               "the images, over cameras and pairs"),
         Score("rms_mm", "smaller", 4, "root mean square distance between them in space"),
@@ -110,7 +111,7 @@ class ParticlesTask(Task):
         estimates="Found particles as Gaussian blobs on the grid, in the same window of the middle "
         "z plane of the scored volume, x to the right, y down.",
         cameras=PARTICLE_IMAGES,
-        errors="Errors: green particles were found, blue ones were missed, orange ones are ghosts.",
+        errors="Green: found; blue: missed; orange: ghosts; pink: duplicates.",
     )
 
     def case(self, data: Dataset) -> ImageSequence:
@@ -211,17 +212,14 @@ class ParticlesTask(Task):
         return with_bar(pictures.slice_picture(volume, grid.scored), grid)
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
-        """Draw found, missed and false particles in the same slice as a PNG."""
+        """Draw found, missed, ghost and duplicate particles in the same slice as a PNG."""
         grid, true = data.setup.grid, data.particles(0).position_mm
         positions = self.read(data, result, 0).position_mm
-        i, j = particle_detection.challenge_pairs(grid.to_voxels(positions), grid.to_voxels(true))
-        kinds = (
-            (true[j], pictures.FOUND),
-            (np.delete(true, j, axis=0), pictures.MISSED),
-            (np.delete(positions, i, axis=0), pictures.GHOSTS),
-        )
-        sigma_mm = grid.voxel_mm[0]
-        parts = [(synthesise(grid, p, np.ones(len(p)), sigma_mm), c) for p, c in kinds]
+        own, _, j = particle_detection.classify(grid.to_voxels(positions), grid.to_voxels(true))
+        kinds = {"found": true[j], "missed": np.delete(true, j, axis=0)}
+        kinds |= {"ghost": positions[own == GHOST], "duplicate": positions[own == DUPLICATE]}
+        wide = grid.voxel_mm[0]
+        parts = {kind: synthesise(grid, p, np.ones(len(p)), wide) for kind, p in kinds.items()}
         return with_bar(pictures.class_slice(parts, grid.scored), grid)
 
 
@@ -233,14 +231,11 @@ def score_particle_frame(
     detected, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)
     scored = grid.in_scored(detected), grid.in_scored(true)
     counts = particle_detection.count_challenge(detected, true, *scored)
-    a, b = particle_detection.challenge_pairs(detected, true)
+    kind, a, b = particle_detection.classify(detected, true)
     i, j = a[scored[1][b]], b[scored[1][b]]
-    ghosts = scored[0].copy()
-    ghosts[a] = False
     whole = counts.precision + counts.recall
-    error = estimate.position_mm[i] - truth.position_mm[j]
+    double, error = kind == DUPLICATE, estimate.position_mm[i] - truth.position_mm[j]
     apart = np.linalg.norm(error, axis=1)
-    duplicates = particle_detection.count_duplicates(detected, true, scored[0])
     curve = particle_detection.f1_over_distance(
         detected, true, *scored, particle_detection.MATCHING_DISTANCES
     )
@@ -253,11 +248,11 @@ def score_particle_frame(
         "rms_mm": finite_or_none(root_mean_square(apart)),
         "f1_area": float(curve.mean()),
         **_TOLERANCE.figures(curve),
-        "duplicate_percent": 100.0 * duplicates / len(i) if len(i) else None,
+        "duplicate_percent": 100.0 * int(double[scored[0]].sum()) / len(i) if len(i) else None,
         "rms_over_bound": finite_or_none(
             rms_over_bound(error, _bounds(data, frame, j)) if len(j) else np.nan
         ),
-        **_claims(estimate, error, i, ghosts),
+        **_claims(estimate, error, i, scored[0] & (kind != FOUND)),
     }
 
 

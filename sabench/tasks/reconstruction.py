@@ -109,7 +109,7 @@ class ReconstructionTask(VolumeTask):
         Score("true_percent", "larger", 1, "share of the true particles that were found within 1.5 "
               "voxels", counted=True, range=PERCENT),
         Score("ghost_percent", "smaller", 1,
-              "false detections, relative to the true ones", counted=True),
+              "ghosts, relative to the particles found", counted=True),
         share("precision", 3, "share of the detections that are true, closer than 1 voxel along "
               "every axis, one to one"),
         share("recall", 3, "share of the true particles that were found, by the same rule"),
@@ -134,7 +134,7 @@ class ReconstructionTask(VolumeTask):
         "right, y down; each figure has its own brightness scale.",
         cameras=PARTICLE_IMAGES,
         errors="The estimate, scaled to fit best, minus the truth in the same window: blue is "
-        "missing light, red is too much light. All maps of a case have one scale.",
+        "missing light, orange is too much light. All maps of a case have one scale.",
     )
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:

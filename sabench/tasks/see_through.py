@@ -51,7 +51,7 @@ class SeeThroughTask(VolumeTask):
         estimates="The plane of the stack that contains the code behind the bubbles, each with its "
         "own brightness scale.",
         cameras="First frame of every camera.",
-        errors="The code in black and white; red cells are dark and read as bright, blue ones "
+        errors="The code in black and white; orange cells are dark and read as bright, blue ones "
         "bright and read as dark.",
     )
 

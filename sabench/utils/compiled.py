@@ -61,7 +61,7 @@ caching.CacheImpl._locator_classes.insert(0, _PlaceInPackage)
 
 
 class _InnerKernel(CPUDispatcher):  # type: ignore[misc]
-    """Kernel without wrappers, which would take a fifth of the time of compiling."""
+    """Kernel without wrappers, an eighth of the time of compiling."""
 
     def add_overload(self, cres: Any) -> None:
         """Keep what was compiled out of the table of what Python may call."""

@@ -12,10 +12,11 @@ import pytest
 
 import sabench
 from sabench.apps.viewer.contents import Frame, PageContents, of_dataset, of_scene
-from sabench.apps.viewer.points import FOUND, MISSED, TRUE, ObjectCloud
+from sabench.apps.viewer.points import ObjectCloud
 from sabench.apps.viewer.view import render_contents
 from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
+from sabench.plotting.kinds import FOUND, MISSED, TRUE
 from sabench.scenes import load_scene
 from tests.conftest import Command
 from tests.helpers.browser import Browser

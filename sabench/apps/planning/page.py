@@ -33,19 +33,28 @@ _PAGE = """<!doctype html>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>Plan: {{ title }}</title>
 <style>
-body { font: 15px/1.45 sans-serif; color: #000; background: #fff; margin: 1.5em auto;
-       max-width: 1180px; padding: 0 1em; }
+{{ style }}
+:root { color-scheme: light dark;
+        --page: #fff; --text: #1b1f24; --line: #d5dae0; --shade: #eef1f4; }
+@media (prefers-color-scheme: dark) {
+  :root { --page: #0d1117; --text: #e6edf3; --line: #2d3640; --shade: #1c242d; }
+}
+@media print { :root { --page: #fff; --text: #000; } figure, tr { break-inside: avoid; } }
+body { font: 15px/1.45 system-ui, sans-serif; color: var(--text); background: var(--page);
+       margin: 1.5em auto; max-width: 1180px; padding: 0 1em; overflow-wrap: anywhere; }
 h1 { font-size: 1.35em; } h2 { font-size: 1.1em; margin-top: 1.6em; }
 .drawings { display: flex; flex-wrap: wrap; gap: 1.2em; }
 figure { margin: 0; } figcaption { font-weight: bold; margin-bottom: 0.3em; }
 svg.drawing { max-width: 100%; height: auto; }
+svg text, .camera { fill: currentColor; } .frame { fill: none; stroke: var(--line); }
+.camera, .scale { stroke: currentColor; } .ray { stroke: #2f8fd0; stroke-opacity: 0.6; }
 table { border-collapse: collapse; width: 100%; }
-td, th { text-align: left; padding: 0.15em 0.7em; border-bottom: 1px solid #ddd; }
-td.value { text-align: right; font-variant-numeric: tabular-nums; }
-code { background: #f3f3f3; padding: 0 0.2em; }
+td, th { text-align: left; padding: 0.15em 0.7em 0.15em 0; border-bottom: 1px solid var(--line); }
+td.value { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+code { background: var(--shade); padding: 0 0.2em; }
+@media (max-width: 40em) { td:last-child, th:last-child { display: none; } }
 .warnings li { margin: 0.3em 0; }
 .legend svg { vertical-align: middle; } .legend span { margin-right: 1.4em; }
-{{ style }}
 </style>
 </head>
 <body>

@@ -10,13 +10,14 @@ from sabench import tasks
 from sabench.api import Calibration, Velocity
 from sabench.api.truth import Solid
 from sabench.apps.viewer import points as classify
-from sabench.apps.viewer.points import OBJECT_KINDS, Estimates, ObjectCloud, with_velocities
+from sabench.apps.viewer.points import Estimates, ObjectCloud, with_velocities
 from sabench.apps.viewer.surroundings import Surroundings
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import propose_box
 from sabench.geometry.grid import Grid
+from sabench.plotting.kinds import KINDS
 from sabench.scenes import BubbleWorld, Scene, build_rig
 from sabench.simulation.frames import light_in_fluid
 from sabench.utils.arrays import F32
@@ -30,7 +31,7 @@ _MATCHED = {
     "found": "found",
     "missed": "missed",
     "ghost": "ghost",
-    "duplicate": "duplicate",
+    "duplicate": "ghost: duplicate",
 }
 _UNMATCHED = {"found": "found; no truth is known"}
 _VECTORS = {"true": "true vector", "found": "measured vector", "ghost": "interpolated vector"}
@@ -82,8 +83,8 @@ class PageContents:
 
 
 def _totals(clouds: Sequence[ObjectCloud]) -> dict[str, list[int]]:
-    counts = np.array([cloud.counts() for cloud in clouds]).reshape(-1, len(OBJECT_KINDS))
-    named = zip(OBJECT_KINDS, counts.T, strict=True)
+    counts = np.array([cloud.counts() for cloud in clouds]).reshape(-1, len(KINDS))
+    named = zip(KINDS, counts.T, strict=True)
     return {kind: column.tolist() for kind, column in named if column.any()}
 
 

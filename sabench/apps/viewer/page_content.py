@@ -13,13 +13,14 @@ from sabench.algorithms.bubbles.backlit_images import transmission
 from sabench.algorithms.refocus import find_edge_on, refocus_on_surface, refocus_sum
 from sabench.api import Observation
 from sabench.apps.viewer.contents import Frame, PageContents
-from sabench.apps.viewer.points import OBJECT_KINDS, ObjectCloud, link_to_earlier, shown_share, thin
+from sabench.apps.viewer.points import ObjectCloud, link_to_earlier, shown_share, thin
 from sabench.apps.viewer.surroundings import Surroundings, rounded
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import image_name
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.volume_polynomials import fit_volume_polynomials
+from sabench.plotting.kinds import DEFINITION, KINDS
 from sabench.plotting.pictures import BRIGHTEST, GAMMA, grey_levels, join_blocks
 from sabench.utils.arrays import F32, F64, U8, Bool, triple
 from sabench.utils.progress import progress_bar
@@ -258,7 +259,8 @@ def encode_contents(contents: PageContents) -> tuple[dict[str, Any], str, list[s
     values = {
         "title": contents.title,
         "facts": contents.facts,
-        "kinds": OBJECT_KINDS,
+        "kinds": KINDS,
+        "definition": DEFINITION if "missed" in contents.labels else "",
         "labels": contents.labels,
         "rig": contents.surroundings.describe(),
         "share": share,

@@ -17,14 +17,12 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
 from sabench.geometry.camera_model import CameraModel
 from sabench.metrics.bubble_detection import AnyBubbles, match_bubbles
-from sabench.metrics.particle_detection import challenge_pairs, detect_peaks, mark_duplicates
+from sabench.metrics.particle_detection import classify, detect_peaks
+from sabench.plotting.kinds import FOUND, GHOST, KINDS, MISSED, TRUE
 from sabench.tasks.velocimetry import truth_at
 from sabench.utils.arrays import F32, F64, I64, U8, Bool
 from sabench.utils.rng import stream
 
-# the page draws them in this order, the errors last and so above the others
-OBJECT_KINDS = ("true", "found", "missed", "ghost", "duplicate")
-TRUE, FOUND, MISSED, GHOST, DUPLICATE = range(len(OBJECT_KINDS))
 _OF_TRUTH = (TRUE, MISSED)
 
 
@@ -93,7 +91,7 @@ class ObjectCloud:
 
     def counts(self) -> list[int]:
         """Count the objects of each kind."""
-        return [int(count) for count in np.bincount(self.kind, minlength=len(OBJECT_KINDS))]
+        return [int(count) for count in np.bincount(self.kind, minlength=len(KINDS))]
 
 
 def link_to_earlier(cloud: ObjectCloud, earlier: ObjectCloud | None) -> I64:
@@ -155,9 +153,7 @@ def classify_particles(found: FoundParticles, data: Dataset, frame: int) -> Obje
         return estimate
     grid, true = data.setup.grid, true_particles(data, frame)
     voxels = grid.to_voxels(estimate.position_mm), grid.to_voxels(true.position_mm)
-    i, j = challenge_pairs(*voxels)
-    duplicates = mark_duplicates(*voxels, i)
-    estimate.kind[:] = np.where(duplicates, DUPLICATE, GHOST)
+    estimate.kind[:], i, j = classify(*voxels)
     return _join(estimate, true, i, j)
 
 

@@ -5,7 +5,7 @@ none.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,11 +18,13 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import SIDE, border_pixels, light_paths
 from sabench.geometry.cylinder_wall import CylinderWall, WallRecord
 from sabench.geometry.occluders import Disc
+from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import frame_of_normal
 from sabench.plotting.outlines import Outline, draw_outlines
 from sabench.scenes.illumination import Backlight, Illumination
 from sabench.utils.arrays import F64
 
+_SHARPEST = 0.3  # sine of the angle of two faces that are drawn up to their edge
 _MARGIN = 0.04  # drawn margin of a wall beyond the light paths through it
 _DECIMALS = 4
 
@@ -99,7 +101,11 @@ class Surroundings:
         ]
         corners = np.array([self.low_mm, self.high_mm, self.center_mm])
         points = np.concatenate([*paths, corners])
-        return np.asarray(points[np.isfinite(points).all(axis=1)])
+        points = points[np.isfinite(points).all(axis=1)]
+        if not isinstance(wall, Wall):
+            return np.asarray(points)
+        edges = [_slide(points, wall, one) for one in self.walls if isinstance(one, Wall)]
+        return np.concatenate([points, *edges])
 
     def _describe_light(self, light: Illumination) -> dict[str, Any]:
         """Describe the light as a box that is as long as the volume."""
@@ -145,6 +151,19 @@ def _describe_wall(wall: WallRecord, points_mm: F64) -> dict[str, Any]:
         ),
         "media": _media(wall),
     }
+
+
+def _slide(points_mm: F64, wall: Wall, other: Wall) -> F64:
+    """Slide points (n, 3) along a wall to its edge with another; none if flat."""
+    normal, far = np.asarray(wall.normal), np.asarray(other.normal)
+    along = far - (far @ normal) * normal
+    if np.linalg.norm(along) < _SHARPEST:
+        return np.zeros((0, 3))
+    off = (points_mm - np.asarray(other.point_mm)) @ far
+    depth = (points_mm - np.asarray(wall.point_mm)) @ normal
+    flat = points_mm - depth[:, None] * normal
+    off = off - depth * float(normal @ far)
+    return np.asarray(flat - (off / (along @ far))[:, None] * along)
 
 
 def _describe_cylinder(wall: CylinderWall, points_mm: F64) -> dict[str, Any]:
@@ -217,11 +236,15 @@ def _draw(rig: dict[str, Any], plane: list[int], *, near: bool) -> tuple[str, st
     shapes = [Outline("volume", _hull(_corners(rig), plane), closed=True)]
     volume = shapes[0].points_mm
     for wall in rig["walls"]:
-        shapes += [Outline("wall", _hull(face, plane), closed=True) for face in _faces(wall)]
+        faces = _faces(wall, rig["walls"])
+        shapes += [Outline("wall", _hull(face, plane), closed=True) for face in faces]
+    ends = np.concatenate([shape.points_mm for shape in shapes])
     for camera in rig["cameras"]:
         shapes += [Outline("ray", path[:, plane]) for path in _edges(camera, rig["side"])]
-    ends = volume if near else np.concatenate([shape.points_mm for shape in shapes])
-    margin = (_NEAR if near else _AROUND) * float(np.ptp(ends, axis=0).max())
+    if not near:
+        ends = np.concatenate([shape.points_mm for shape in shapes])
+    share = _NEAR if near and not rig["walls"] else _AROUND
+    margin = share * float(np.ptp(ends, axis=0).max())
     low, high = ends.min(axis=0) - margin, ends.max(axis=0) + margin
     length = _CAMERA * float((high - low).max())
     shapes += [_symbol(camera, plane, length) for camera in rig["cameras"]]
@@ -230,7 +253,8 @@ def _draw(rig: dict[str, Any], plane: list[int], *, near: bool) -> tuple[str, st
         ends = rig["sheet"]["center"] + _box(-half, half) @ axes
         shapes.append(Outline("sheet", _hull(ends, plane), closed=True))
     names = _NAMES[plane[0]], _NAMES[plane[1]]
-    title = f"{'Volume' if near else 'Rig'}, {names[0]} and {names[1]}"
+    size = " x ".join(f"{edge:.4g}" for edge in np.ptp(volume, axis=0))
+    title = f"{f'Volume of {size} mm' if near else 'Rig'}, {names[0]} and {names[1]}"
     return title, draw_outlines(title, shapes, low, high, names)
 
 
@@ -243,13 +267,16 @@ def _box(low: F64, high: F64) -> F64:
     return np.array(list(itertools.product(*zip(low, high, strict=True))))
 
 
-def _faces(wall: dict[str, Any]) -> Iterator[F64]:
-    """Yield points (n, 3) at the rim of each face."""
+def _faces(wall: dict[str, Any], walls: Sequence[dict[str, Any]]) -> Iterator[F64]:
+    """Yield points (n, 3) at the rim of each face, cut by the faces of other walls."""
     if wall["kind"] == "plane":
         ends = np.array([wall["low"], wall["high"]])
         across = np.array(list(itertools.product(*ends.T))) @ np.array(wall["axes"])
-        for depth in wall["depths"]:
-            yield wall["point"] + across + depth * np.array(wall["normal"])
+        for number, depth in enumerate(wall["depths"]):
+            points = wall["point"] + across + depth * np.array(wall["normal"])
+            for other in (one for one in walls if one["kind"] == "plane" and one is not wall):
+                points = _cut(points, other, other["depths"][: number + 1][-1])
+            yield points
         return
     axis = np.array(wall["axis"])
     first = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
@@ -258,6 +285,16 @@ def _faces(wall: dict[str, Any]) -> Iterator[F64]:
     for radius in wall["radii"]:
         rims = [radius * around + end * axis for end in (wall["low"], wall["high"])]
         yield wall["point"] + np.concatenate(rims)
+
+
+def _cut(points_mm: F64, wall: dict[str, Any], depth_mm: float) -> F64:
+    """Cut the hull of points (n, 3) at a depth behind a wall; one before it stays."""
+    off = (points_mm - wall["point"]) @ np.array(wall["normal"]) - depth_mm
+    if not (off > 0.0).any():
+        return points_mm
+    ends = itertools.product(np.flatnonzero(off >= 0.0), np.flatnonzero(off < 0.0))
+    cuts = [(off[i] * points_mm[j] - off[j] * points_mm[i]) / (off[i] - off[j]) for i, j in ends]
+    return np.array([*points_mm[off >= 0.0], *cuts])
 
 
 def _edges(camera: dict[str, Any], side: int) -> Iterator[F64]:

@@ -20,6 +20,7 @@ from sabench.dataset.results import open_result, read_dataset_names
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import probe, probe_dataset
 from sabench.interop.cameras import read_camera_source
+from sabench.plotting.kinds import COLOURS
 from sabench.plotting.outlines import STYLE
 from sabench.plotting.page import escape_code, inline_code, inline_json, render_page
 from sabench.scenes import Scene, load_scene
@@ -46,7 +47,8 @@ def render_contents(contents: PageContents) -> tuple[str, list[str]]:
         "data": inline_json(values),
         "arrays": arrays,
     }
-    code = inline_code(_FOLDER, _SCRIPTS, _library(), STYLE)
+    colours = "".join(f"--{kind}: {colour}; " for kind, colour in COLOURS.items())
+    code = inline_code(_FOLDER, _SCRIPTS, _library(), f"{STYLE}:root {{ {colours}}}\n")
     template = (_FOLDER / "page.html.j2").read_text(encoding="utf-8")
     return render_page(template, content | code), notes
 

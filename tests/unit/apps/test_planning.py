@@ -16,6 +16,8 @@ from benchmarks import planner
 from sabench.apps.planning import expected_scores
 from sabench.apps.planning.page import draw_rig, render_plan
 from sabench.apps.planning.plan import Plan, RecordingSystem, Wanted, design_scene, plan
+from sabench.apps.viewer.contents import of_scene
+from sabench.apps.viewer.surroundings import _faces
 from sabench.evaluation.suite_loading import override
 from sabench.plotting.outlines import Outline, draw_outlines
 from sabench.scenes import Scene, find, load_scene, parse_scene
@@ -405,13 +407,23 @@ def shapes(svg: str, kind: str) -> list[str]:
 def test_a_rig_is_drawn_with_all_its_parts(scene: str, cameras: int, walls: int) -> None:
     made = plan(scene)
     drawings = dict(draw_rig(made))
-    assert list(drawings) == ["Rig, z and x", "Volume, z and x", "Rig, z and y", "Volume, z and y"]
+    words = [name.partition(" of ")[0].partition(",")[0] for name in drawings]
+    assert words == ["Rig", "Volume", "Rig", "Volume"]
     svg = drawings["Rig, z and x"]
     assert len(shapes(svg, "camera")) == cameras
     assert len(shapes(svg, "ray")) == 4 * cameras
     assert len(shapes(svg, "volume")) == 1
     assert len(shapes(svg, "wall")) == walls
     assert shapes(svg, "sheet")
+
+
+def test_faces_of_a_tank_end_at_their_edge() -> None:
+    rig = of_scene(load_scene("two-faces"), "two-faces").surroundings.describe()
+    for wall, other in (rig["walls"], rig["walls"][::-1]):
+        for depth, face in zip(wall["depths"], _faces(wall, rig["walls"]), strict=True):
+            off = face @ other["normal"] - depth
+            assert off.min() == pytest.approx(0.0, abs=1e-3)
+            assert off.max() > 20.0
 
 
 def test_outlines_are_to_scale() -> None:

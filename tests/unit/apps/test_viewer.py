@@ -20,12 +20,6 @@ from sabench.apps.viewer import page_content, points
 from sabench.apps.viewer.contents import PageContents, of_dataset, of_scene
 from sabench.apps.viewer.page_content import Packer, encode_contents
 from sabench.apps.viewer.points import (
-    DUPLICATE,
-    FOUND,
-    GHOST,
-    MISSED,
-    OBJECT_KINDS,
-    TRUE,
     ObjectCloud,
     classify_bubbles,
     classify_particles,
@@ -39,7 +33,8 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.geometry.common_view import lattice_of
 from sabench.geometry.rigid_motion import rotation_matrices
-from sabench.metrics.particle_detection import challenge_pairs, count_duplicates
+from sabench.metrics.particle_detection import challenge_pairs, classify
+from sabench.plotting.kinds import DUPLICATE, FOUND, GHOST, KINDS, MISSED, TRUE
 from sabench.scenes import load_scene
 from sabench.utils.arrays import F64
 from tests.helpers.calibration_cases import calibration_scene
@@ -90,14 +85,13 @@ def values_of(html: str) -> dict[str, Any]:
 def test_particles_are_classified_as_they_are_scored(moving: Dataset) -> None:
     estimate = estimate_of(moving, 0)
     cloud = classify_particles(estimate, moving, 0)
-    counts = dict(zip(OBJECT_KINDS, cloud.counts(), strict=True))
+    counts = dict(zip(KINDS, cloud.counts(), strict=True))
     assert counts == {"true": 290, "found": 290, "missed": 10, "ghost": 3, "duplicate": 5}
     to_voxels = moving.setup.grid.to_voxels
     true = moving.particles(0).position_mm
     voxels, true_voxels = to_voxels(estimate.position_mm), to_voxels(true)
-    every = np.ones(len(voxels), dtype=np.bool_)
     assert counts["found"] == len(challenge_pairs(voxels, true_voxels)[0])
-    assert counts["duplicate"] == count_duplicates(voxels, true_voxels, every)
+    assert counts["duplicate"] == np.sum(classify(voxels, true_voxels)[0] == DUPLICATE)
     missed = cloud.position_mm[cloud.kind == MISSED]
     assert np.array_equal(np.sort(missed, axis=0), np.sort(true[:10], 0))
     assert cloud.select(cloud.kind == GHOST).position_mm == pytest.approx(estimate.position_mm[-3:])
@@ -123,7 +117,7 @@ def test_bubbles_are_classified_and_keep_their_shapes() -> None:
     data: Any = SimpleNamespace(has_truth=True, bubbles=lambda frame: true)
     moved = true.center_mm[1:] + np.array([[0.1], [50.0], [0.1], [0.0], [0.0]])
     cloud = classify_bubbles(Detections(moved, true.semi_axes_mm[1:], true.turn[1:]), data, 0)
-    counts = dict(zip(OBJECT_KINDS, cloud.counts(), strict=True))
+    counts = dict(zip(KINDS, cloud.counts(), strict=True))
     assert counts == {"true": 4, "found": 4, "missed": 2, "ghost": 1, "duplicate": 0}
     assert np.flatnonzero(cloud.kind == MISSED).tolist() == [0, 2]
     assert cloud.shape_mm is not None

@@ -8,13 +8,14 @@ from numpy.testing import assert_allclose
 from scipy import ndimage
 
 from sabench.metrics.particle_detection import (
-    count_duplicates,
+    classify,
     detect,
     detect_peaks,
     f1_over_distance,
     fitted_maxima,
     three_point,
 )
+from sabench.plotting.kinds import DUPLICATE, FOUND, GHOST
 from sabench.utils.arrays import F32, F64, Bool
 
 
@@ -116,7 +117,6 @@ def test_the_curve_rises_where_particles_come_within_reach() -> None:
 def test_second_detections_of_a_particle_are_duplicates_and_ghosts_are_not() -> None:
     near, far = np.array([0.0, 0.4, 0.0]), np.array([0.0, 3.0, 0.0])
     found = np.concatenate([_TRUTH, _TRUTH[:2] + near, _TRUTH[2:3] + far])
-    assert count_duplicates(found, _TRUTH, _all(len(found))) == 2
-    unscored = _all(len(found))
-    unscored[4] = False
-    assert count_duplicates(found, _TRUTH, unscored) == 1
+    kind, i, j = classify(found, _TRUTH)
+    assert kind.tolist() == [*[FOUND] * len(_TRUTH), DUPLICATE, DUPLICATE, GHOST]
+    assert i.tolist() == j.tolist()

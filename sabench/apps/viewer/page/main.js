@@ -66,7 +66,8 @@ function legendCard(sort, title) {
   fill();
   listeners.push(what => { if (what.has("frame")) fill(); });
   const ticks = rows.map((kind, i) => tick(labelOf(kind), state.kinds[kind], on => { state.kinds[kind] = on; changed("kinds"); }, icon(kind, sort === "bubbles"), counts[i]));
-  return make("fieldset", { class: "card", id: sort }, make("legend", {}, title), ticks, rows.some(kind => ERRORS.has(kind)) && !data.vectors ? onlyErrors(rows, ticks) : null);
+  return make("fieldset", { class: "card", id: sort }, make("legend", {}, title), ticks, rows.some(kind => ERRORS.has(kind)) && !data.vectors ? onlyErrors(rows, ticks) : null,
+    data.definition ? make("p", { class: "meaning" }, data.definition) : null);
 }
 
 function rigCard() {

@@ -16,7 +16,7 @@ void main() {
   vSize = clamp(scale * size / -at.z, least * size, most * size);
   gl_PointSize = vSize;
   vKind = kind;
-  vTint = mix(tints[own], behind, clamp((-at.z - near) / (far - near), 0., .35));
+  vTint = mix(tints[own], behind, clamp((-at.z - near) / (far - near), 0., own < 2 ? .35 : .1));  // errors fade less
 }`;
 const FRAGMENT = `
 uniform float alone;

@@ -91,7 +91,7 @@ class Picture {
     const radius = Math.min(Math.max(2.4 * scale, 3.2 * ratio), 11 * ratio);
     own.lineWidth = Math.max(1.2, radius * .22);
     for (const kind of KINDS) {
-      own.strokeStyle = own.fillStyle = ON_PICTURE[kind];
+      own.strokeStyle = own.fillStyle = onPicture(kind);
       const at = seen[kind];
       if (count > MOST_MARKS) for (let i = 0; i < at.length; i += 2) own.fillRect(at[i] - ratio, at[i + 1] - ratio, 2 * ratio, 2 * ratio);
       else {
@@ -102,7 +102,7 @@ class Picture {
     }
     own.lineWidth = 1.6 * ratio;
     for (const [kind, points] of this.outlines()) {
-      own.strokeStyle = ON_PICTURE[kind];
+      own.strokeStyle = onPicture(kind);
       own.beginPath();
       points.forEach(([column, row]) => own.lineTo(left + column * scale, top + row * scale));
       own.closePath();
@@ -111,10 +111,8 @@ class Picture {
   }
 }
 
-// Colours of marks on pictures, which do not change with the theme: they are dark, or bright before a backlight.
-const ON_PICTURE = data.backlit
-  ? { true: "#4d5661", found: "#00785a", missed: "#0067a8", ghost: "#c44a00", duplicate: "#a03a7d" }
-  : { true: "#d7dde3", found: "#2fe0a6", missed: "#58bdff", ghost: "#ff8a3d", duplicate: "#f7a3d4" };
+// Colour of marks on pictures, which do not change with the theme: they are dark, or bright before a backlight.
+const onPicture = kind => kind === "true" ? (data.backlit ? "#4d5661" : "#d7dde3") : colours[kind];
 
 // Bubbles of a frame: [kind, centre, matrix].
 function* bubblesOf(frame, arrays) {

@@ -92,8 +92,8 @@ class Raster {
 
   // Colours of each kind at each level of fading, as numbers of pixels.
   palette({ tints, behind }) {
-    return Uint32Array.from(tints.value.flatMap(tint => Array.from({ length: LEVELS }, (_, level) => {
-      const own = tint.clone().lerp(behind.value, .35 * level / (LEVELS - 1));
+    return Uint32Array.from(tints.value.flatMap((tint, kind) => Array.from({ length: LEVELS }, (_, level) => {
+      const own = tint.clone().lerp(behind.value, (kind < 2 ? .35 : .1) * level / (LEVELS - 1));
       return (255 << 24 | Math.round(255 * own.b) << 16 | Math.round(255 * own.g) << 8 | Math.round(255 * own.r)) >>> 0;
     })));
   }
