@@ -67,10 +67,8 @@ def _show_unknowns(report: CalibrationReport) -> None:
     lines = []
     for row in report.compared:
         name = f"+ {' and '.join(row.added)}" if row.added else "focal lengths"
-        figures = [
-            tables.format_number(value, 4)
-            for value in (row.held_out_px, row.change_px, row.sigma_px)
-        ]
+        measured = row.held_out_px, row.change_px, row.sigma_px
+        figures = [tables.format_number(value, 4) for value in measured]
         lines.append([name, *figures, row.remark or ("yes" if row.chosen else "no")])
     tables.show(["unknowns", "held-out px", "change", "standard error", "keep"], lines)
     quoted = ", ".join(f'"{name}"' for name in report.unknown)
@@ -143,8 +141,7 @@ def compare_statistics(
         Path,
         argument(
             "FOLDER",
-            "Images (tif, png, bmp) of your cameras, in one folder for each or all in one; or "
-            "a data set.",
+            "Images (tif, png, bmp) of your cameras, a folder each or one for all; or a data set.",
         ),
     ],
     frames: Annotated[int, option("N", "Images of each camera, at most.", min=1, max=200)] = 20,
