@@ -284,9 +284,7 @@ def board(leaderboard: options.Leaderboard = Path("leaderboard")) -> None:
 
 def challenge(
     suite: options.SuiteName,
-    hidden: Annotated[
-        Path, option("FILE", "The organiser's secret file, from which the seeds come.")
-    ],
+    hidden: Annotated[Path, option("FILE", "The organiser's secret file: seeds come from it.")],
     output: Annotated[Path, output_option("FOLDER", "Folder of the challenge.")],
     task: Annotated[
         str | None,
@@ -319,25 +317,17 @@ def challenge(
 
 
 def participate(
-    path: Annotated[
-        Path, argument("CHALLENGE", "The archive that the organiser sent, or its folder.")
-    ],
+    path: Annotated[Path, argument("CHALLENGE", "The organiser's archive, or its folder.")],
     solver: Annotated[
         str,
-        argument(
-            "SOLVER",
-            "Name of a solver, or path of a program.",
-            autocompletion=options.complete_solver,
-        ),
+        argument("SOLVER", "A solver, or a program.", autocompletion=options.complete_solver),
     ],
     output: Annotated[Path, output_option("ARCHIVE", "The .zip file to create.")],
     card: options.Cards = None,
     parameters: options.ParameterPairs = None,
     time_limit: options.TimeLimit = None,
     memory_limit: options.MemoryLimit = None,
-    results: Annotated[Path, option("FOLDER", "Folder in which results are kept.")] = Path(
-        "work/challenge"
-    ),
+    results: Annotated[Path, option("FOLDER", "Folder of results.")] = Path("work/challenge"),
     overwrite: Overwrite = False,
 ) -> None:
     """Solve all data sets of a challenge and pack the results.

@@ -35,7 +35,7 @@ def export(
         str,
         option(
             "FORMAT",
-            "vtk, netcdf, mat or csv: the truth or a result; openptv, myptv, openlpt or "
+            "vtk, netcdf, mat, npy or csv: the truth or a result; openptv, myptv, openlpt or "
             "lpt-challenge: cameras and images, or cameras and a result; coco: boxes and masks of "
             "bubbles.",
         ),
@@ -61,11 +61,15 @@ def import_result(
     output: Annotated[Path, output_option("RESULT", "The result file to create.")],
     form: Annotated[
         str,
-        option("FORMAT", "openptv, myptv, openlpt, lpt-challenge, netcdf, mat or csv.", "--from"),
+        option("FORMAT", "openptv, myptv, openlpt, lpt-challenge, netcdf, mat, npy, csv", "--from"),
     ],
-    unit: Annotated[
+    task: Annotated[str | None, option("TASK", "particles or bubbles. [default: as shown]")] = None,
+    columns: Annotated[
         str | None,
-        option("UNIT", "Unit of lengths, mm, m, um ... [default: as the files say, or mm]"),
+        option("NAME,...", "Names of a table's columns, as in frame,x,y,z,radius."),
+    ] = None,
+    unit: Annotated[
+        str | None, option("UNIT", "As in mm, m, um. [default: the files', or mm]")
     ] = None,
     first: Annotated[
         int | None,
@@ -74,7 +78,7 @@ def import_result(
     name: Annotated[str | None, option("NAME", "Name of the solver. [default: the format]")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make a result file of particles that another program found.
+    """Make a result file of particles or bubbles that another program found.
 
     `sabench score` and all other commands take it.
     """
@@ -86,13 +90,15 @@ def import_result(
             found,
             output,
             cast("TrackFormat", form),  # `make` checks the word
+            task=task,
+            columns=[column.strip() for column in columns.split(",")] if columns else (),
             unit=unit,
             first=first,
             solver=name,
             overwrite=overwrite,
         )
     tracks = "no" if file.trajectories is None else str(file.trajectories)
-    say(f"{file.path}: {file.particles} particles in {file.frames} frames, {tracks} trajectories")
+    say(f"{file.path}: {file.found} {file.task} in {file.frames} frames, {tracks} trajectories")
 
 
 @contextlib.contextmanager
@@ -174,96 +180,44 @@ def _with_keys(command: Callable[..., None]) -> Callable[..., None]:
     keys = []
     for name, key in _KEYS.items():
         declared = option(key.metavar, key.help, key.flag, min=key.least)
-        keys.append(
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=key.default,
-                annotation=Annotated[key.kind, declared],
-            )
-        )
+        given = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=key.default)
+        keys.append(given.replace(annotation=Annotated[key.kind, declared]))
     signature = bare.replace(parameters=[*before, *keys, *after])
     command.__signature__ = signature  # type: ignore[attr-defined]
     command.__annotations__ = {arg.name: arg.annotation for arg in signature.parameters.values()}
     return command
 
 
+# fmt: off
 _KEYS = {
-    "pattern": _Key(
-        "--pattern",
-        str | None,
-        "PATTERN",
-        "Path of an image in the folder, as in '{camera}/img_{frame}.tif'; * stands for anything.",
-    ),
-    "pairs": _Key(
-        "--pair",
-        list[str] | None,
-        "IMAGES=CAMERA",
-        "Name of a camera's images and of its calibration; repeatable. Others are left out.",
-        read=_pairs,
-    ),
-    "frames": _Key(
-        "--frames",
-        str | None,
-        "START:STOP",
-        "Take these images of each camera only; the first one is 0.",
-        read=_frames,
-    ),
-    "interval_s": _Key(
-        "--interval", float, "SECONDS", "Time between frames.", default=1.0, least=1e-12
-    ),
-    "pulses": _Key(
-        "--pulses", int, "N", "Frames in a group: 2 for double frames.", default=1, least=1
-    ),
+    "pattern": _Key("--pattern", str | None, "PATTERN", "Path of an image in the folder, as in "
+                    "'{camera}/img_{frame}.tif'; * stands for anything."),
+    "pairs": _Key("--pair", list[str] | None, "IMAGES=CAMERA", "Name of a camera's images and of "
+                  "its calibration; repeatable. Others are left out.", read=_pairs),
+    "frames": _Key("--frames", str | None, "START:STOP", "Take these images of each camera only; "
+                   "the first one is 0.", read=_frames),
+    "interval_s": _Key("--interval", float, "SECONDS", "Time between frames.", 1.0, 1e-12),
+    "pulses": _Key("--pulses", int, "N", "Frames in a group: 2 for double frames.", 1, 1),
     "period_s": _Key("--period", float | None, "SECONDS", "Time from group to group."),
-    "volume_mm": _Key(
-        "--volume",
-        str | None,
-        "X0,X1,Y0,Y1,Z0,Z1",
-        "The box that is lit, mm; by default what all cameras see.",
-        read=_box,
-    ),
+    "volume_mm": _Key("--volume", str | None, "X0,X1,Y0,Y1,Z0,Z1", "The box that is lit, mm; by "
+                      "default what all cameras see.", read=_box),
     "voxel_mm": _Key("--voxel", float | None, "MM", "Size of voxels; by default that of a pixel."),
-    "black_dn": _Key(
-        "--black",
-        float | None,
-        "DN",
-        "Grey value of no light; by default estimated for each camera.",
-    ),
-    "white_dn": _Key(
-        "--white",
-        float | None,
-        "DN",
-        "Grey value of saturation; by default estimated for each camera.",
-    ),
-    "masks": _Key(
-        "--masks", Path | None, "FOLDER", "Images by the cameras' names; 0 leaves pixels out."
-    ),
-    "preprocessing": _Key(
-        "--step",
-        list[str] | None,
-        "NAME[,KEY=VALUE]",
-        "Step of preprocessing, as in sliding_minimum,window_px=9; repeatable.",
-        read=options.parse_steps,
-    ),
-    "backlit": _Key(
-        "--backlit", bool, None, "The images show bubbles or bodies, not particles.", default=False
-    ),
-    "raw": _Key(
-        "--raw",
-        str | None,
-        "TYPE[,HEADER]",
-        "Pixels of raw files: uint8, uint16 or uint16-big, and bytes of their header.",
-        read=_raw,
-    ),
-    "referenced": _Key(
-        "--reference",
-        bool,
-        None,
-        "Leave the images where they are, and do not copy them.",
-        default=False,
-    ),
+    "black_dn": _Key("--black", float | None, "DN", "Grey value of no light; by default estimated "
+                     "for each camera."),
+    "white_dn": _Key("--white", float | None, "DN", "Grey value of saturation; by default "
+                     "estimated for each camera."),
+    "masks": _Key("--masks", Path | None, "FOLDER", "Images by the cameras' names; 0 leaves "
+                  "pixels out."),
+    "preprocessing": _Key("--step", list[str] | None, "NAME[,KEY=VALUE]", options.STEP,
+                          read=options.parse_steps),
+    "backlit": _Key("--backlit", bool, None, "The images show bubbles or bodies, not particles.",
+                    False),
+    "raw": _Key("--raw", str | None, "TYPE[,HEADER]", "Pixels of raw files: uint8, uint16 or "
+                "uint16-big, and bytes of their header.", read=_raw),
+    "referenced": _Key("--reference", bool, None, "Leave the images where they are, and do not "
+                       "copy them.", False),
 }
+# fmt: on
 
 
 @_with_keys

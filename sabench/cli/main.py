@@ -51,42 +51,27 @@ class Group(TyperGroup):
         return _tidy(super().get_params(ctx))
 
 
+# fmt: off
 _PANELS: dict[str, tuple[Callable[..., None], ...]] = {
     "Make data": (make_data.plan, make_data.generate, make_data.verify, make_data.pack),
     "Solve and judge": (
-        solve_and_judge.solve,
-        solve_and_judge.score,
-        solve_and_judge.refocus,
-        solve_and_judge.quality,
-        solve_and_judge.view,
-        importing.export,
-        importing.import_result,
+        solve_and_judge.solve, solve_and_judge.score, solve_and_judge.refocus,
+        solve_and_judge.quality, solve_and_judge.view, importing.export, importing.import_result,
     ),
     "Compare": (
-        compare.run,
-        compare.check,
-        compare.submit,
-        compare.board,
-        compare.reproduce,
-        compare.challenge,
-        compare.participate,
+        compare.run, compare.check, compare.submit, compare.board, compare.reproduce,
+        compare.challenge, compare.participate,
     ),
     "Your own recordings": (
-        own_recordings.calibrate,
-        importing.import_recording,
-        own_recordings.preprocess,
+        own_recordings.calibrate, importing.import_recording, own_recordings.preprocess,
         own_recordings.compare_statistics,
     ),
     "Maintain": (
-        maintain.list_all,
-        describe.info,
-        maintain.schema,
-        maintain.new,
-        solve_and_judge.conform,
-        maintain.warmup,
-        maintain.doctor,
+        maintain.list_all, describe.info, maintain.schema, maintain.new, solve_and_judge.conform,
+        maintain.warmup, maintain.doctor,
     ),
 }
+# fmt: on
 _NAMES = {"list_all": "list", "import_recording": "import"}
 
 app = typer.Typer(cls=Group)

@@ -123,6 +123,8 @@ def new(
     """
     if kind not in _TEMPLATES:
         raise InputError(f"KIND: expected one of {', '.join(_TEMPLATES)}, got {kind!r}")
+    if path.exists():
+        raise InputError(f"{path} exists already: choose another name")
     if kind == "scene":
         from sabench.scenes.loading import find
         from sabench.utils.files import complete_or_nothing

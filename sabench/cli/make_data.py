@@ -38,9 +38,7 @@ def plan(
     gap_us: Annotated[float, option("X", "Shortest time between two exposures, us.")] = 250.0,
     depth: Annotated[float | None, option("X", "Wanted depth of the volume, mm.")] = None,
     density: Annotated[float | None, option("X", "Wanted density, particles per mm3.")] = None,
-    resolution: Annotated[
-        float | None, option("X", "Wanted width of a pixel in the volume, mm.")
-    ] = None,
+    resolution: Annotated[float | None, option("X", "Wanted pixel in the volume, mm.")] = None,
     output: Annotated[Path | None, output_option("FILE", "Write the scene that is wanted.")] = None,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
@@ -105,9 +103,7 @@ def generate(
     output: Annotated[Path, output_option("FOLDER", "The data set folder to create.")],
     seed: Annotated[int, option("N", "Seed of all random numbers.")] = 0,
     backend: Annotated[str, option("NAME", "Renderer: auto, mitsuba or splat.")] = "auto",
-    frames: Annotated[
-        int | None, option("N", "Number of frames, overriding the scene.", min=1)
-    ] = None,
+    frames: Annotated[int | None, option("N", "Frames, in place of the scene's.", min=1)] = None,
     jobs: options.Jobs = 1,
     scheduler: Annotated[
         str | None,
@@ -135,9 +131,7 @@ def generate(
     ] = None,
     compression: Annotated[
         str | None,
-        option(
-            "NAME", "Of the samples: none, or gzip: smaller shards, slower to read. [default: none]"
-        ),
+        option("NAME", "Of the samples: none, or gzip: smaller, slower to read. [default: none]"),
     ] = None,
     shard_size: Annotated[
         int | None,
@@ -229,9 +223,7 @@ def verify(
 
 
 def pack(
-    path: Annotated[
-        Path, argument("PATH", "A data set folder, or a result file or a folder of some.")
-    ],
+    path: Annotated[Path, argument("PATH", "A data set folder, a result, or a folder of some.")],
     output: Annotated[Path, output_option("PATH", "The folder, or .zip archive, to create.")],
     blind: Annotated[
         bool, typer.Option("--blind", help="Leave out the truth, the scene and the seed.")

@@ -50,6 +50,9 @@ def parse_parameters(pairs: list[str] | None) -> dict[str, Any]:
     return values
 
 
+STEP = "Step of preprocessing, as in sliding_minimum,window_px=9; repeatable."
+
+
 def parse_steps(words: list[str]) -> tuple[Step, ...]:
     """Read steps of preprocessing: names and key=value pairs, joined by commas."""
     from sabench.images.preprocessing import read_steps
@@ -127,10 +130,7 @@ def output_option(metavar: str, text: str) -> Any:
 
 DataSet = Annotated[Path, argument("DATASET", "A data set folder.")]
 SceneName = Annotated[
-    str,
-    argument(
-        "SCENE", "A scene file, or the name of a bundled scene.", autocompletion=complete_scene
-    ),
+    str, argument("SCENE", "A scene file or a bundled scene.", autocompletion=complete_scene)
 ]
 SuiteName = Annotated[
     str,
@@ -149,9 +149,7 @@ MemoryLimit = Annotated[
     option("MB", "Memory limit of all processes of a program. [default: 90 % of the free memory]"),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
-Cards = Annotated[
-    list[Path] | None, option("FILE", "Solver card of the results; repeatable.", "--card")
-]
+Cards = Annotated[list[Path] | None, option("FILE", "Solver card; repeatable.", "--card")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON value.")]
 Leaderboard = Annotated[Path, option("FOLDER", "Folder of the records and the page.")]
 Jobs = Annotated[int, option("N", "Number of processes that generate data.", min=1)]

@@ -67,10 +67,8 @@ def _show_unknowns(report: CalibrationReport) -> None:
     lines = []
     for row in report.compared:
         name = f"+ {' and '.join(row.added)}" if row.added else "focal lengths"
-        figures = [
-            tables.format_number(value, 4)
-            for value in (row.held_out_px, row.change_px, row.sigma_px)
-        ]
+        measured = row.held_out_px, row.change_px, row.sigma_px
+        figures = [tables.format_number(value, 4) for value in measured]
         lines.append([name, *figures, row.remark or ("yes" if row.chosen else "no")])
     tables.show(["unknowns", "held-out px", "change", "standard error", "keep"], lines)
     quoted = ", ".join(f'"{name}"' for name in report.unknown)
@@ -143,13 +141,10 @@ def compare_statistics(
         Path,
         argument(
             "FOLDER",
-            "Images (tif, png, bmp) of your cameras, in one folder for each or all in one; or "
-            "a data set.",
+            "Images (tif, png, bmp) of your cameras, a folder each or one for all; or a data set.",
         ),
     ],
-    frames: Annotated[
-        int, option("N", "Images of each camera to read, at most.", min=1, max=200)
-    ] = 20,
+    frames: Annotated[int, option("N", "Images of each camera, at most.", min=1, max=200)] = 20,
     white: Annotated[
         float | None,
         option(
@@ -171,9 +166,7 @@ def compare_statistics(
     data = open_dataset(dataset)
     both = measure_dataset(data, frames), measure(recording, frames, white)
     if as_json:
-        say_json(
-            dict(zip(("dataset", "recording"), (source.to_json() for source in both), strict=True))
-        )
+        say_json({"dataset": both[0].to_json(), "recording": both[1].to_json()})
         return
     columns = [source.medians() for source in both]
     rows = [
@@ -207,11 +200,7 @@ def preprocess(
     frame: Annotated[int, option("N", "Frame, or page of an image file.", min=0)] = 0,
     step: Annotated[
         list[str] | None,
-        option(
-            "NAME[,KEY=VALUE]",
-            "Step of preprocessing, as in sliding_minimum,window_px=9; repeatable. By default "
-            "the steps of the data set.",
-        ),
+        option("NAME[,KEY=VALUE]", f"{options.STEP} [default: those of the data set]"),
     ] = None,
     false_alarms: Annotated[
         float, option("P", "Probability that noise makes a peak of a pixel.", min=1e-12, max=0.1)
@@ -263,11 +252,8 @@ def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
         ("after", "black", "noise", "threshold", "peaks", "false at most"),
         [
             (
-                stage.name,
-                f"{stage.black_dn:.1f}",
-                f"{stage.noise_dn:.2f}",
-                f"{stage.threshold_dn:.1f}",
-                f"{len(stage.peaks)}",
+                *(stage.name, f"{stage.black_dn:.1f}", f"{stage.noise_dn:.2f}"),
+                *(f"{stage.threshold_dn:.1f}", f"{len(stage.peaks)}"),
                 f"{stage.expected_false:.1f}",
             )
             for stage in shown.stages

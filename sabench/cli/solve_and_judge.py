@@ -89,9 +89,7 @@ def score(
 
 
 def conform(
-    solver: Annotated[
-        str, argument("SOLVER", "Name of a solver.", autocompletion=options.complete_solver)
-    ],
+    solver: Annotated[str, argument("SOLVER", "A solver.", autocompletion=options.complete_solver)],
     parameter: options.ParameterPairs = None,
     as_json: AsJson = False,
 ) -> None:

@@ -122,9 +122,10 @@ def name_faults(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise InputError(
-            f"{path}: expected an intact HDF5 file, got {type(error).__name__}: {error}"
-        ) from error
+        other = "file signature not found" in str(error)
+        known = "another kind of file (sabench import-result makes results of tables)"
+        got = known if other else f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: expected an intact HDF5 file, got {got}") from error
 
 
 class NewFile(io.RawIOBase):

@@ -251,7 +251,8 @@ def read_manifest(root: Path) -> Contents:
     """
     path = inside(root, MANIFEST)
     if not root.is_dir() or not path.is_file():
-        raise InputError(f"{path}: expected a data set's manifest, found none")
+        found = "a file" if root.is_file() else "a folder without it" if root.is_dir() else "none"
+        raise InputError(f"{root}: expected a data set folder with {MANIFEST}, found {found}")
     manifest: Contents = read_versioned(_kind_of(path), path)
     sealed = seal(manifest.model_dump(mode="json", exclude_none=True))
     if path.read_text(encoding="utf-8") != sealed:

@@ -1,7 +1,7 @@
 """Export of data sets and results to other programs.
 
-Formats of data (vtk, netcdf, mat, csv) take the truth or a result. Those of tracking programs take
-what a program needs to solve the data set, without the truth; with a result, cameras and particles.
+Formats of data (vtk and tables) take the truth or a result. Those of tracking programs take what a
+program needs to solve the data set, without the truth; with a result, cameras and particles.
 
 Bubbles in the COCO format (https://cocodataset.org/#format-data) are one category, masks as
 uncompressed run lengths down the columns, and boxes [left, top, width, height] in pixels.
@@ -104,7 +104,7 @@ def write_state(root: Path, home: Path) -> None:
 
 
 Format = Literal[
-    "vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv", "coco"
+    "vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "npy", "csv", "coco"
 ]
 ProgramFormat = Literal["openptv", "myptv", "openlpt", "lpt-challenge"]
 _PROGRAMS: dict[str, ProgramFormat] = {name: name for name in get_args(ProgramFormat)}
@@ -129,7 +129,7 @@ def export(
     ----------
     to : vtk: one file for each frame and kind (see `vtkhdf`), of the truth or of the result, and a
         state that shows them in ParaView.
-        netcdf, mat, csv: one table of particles, true or found. openptv, myptv, openlpt,
+        netcdf, mat, npy, csv: one table of particles, true or found. openptv, myptv, openlpt,
         lpt-challenge: cameras and images; with a result, cameras and particles. coco: images, and
         boxes and masks of true bubbles.
     """

@@ -6,11 +6,11 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from sabench.api import FoundParticles
+from sabench.api import Detections, FoundParticles
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils.arrays import F32, F64, I64, U8, Bool, Rows, triple
 from sabench.utils.errors import InputError
@@ -96,12 +96,13 @@ def read_world(path: Path) -> ForeignWorld:
     return ForeignWorld()
 
 
-_OPTIONAL = ("trajectory", "intensity", "velocity_mm_s", "acceleration_mm_s2")
+_VECTORS = ("velocity_mm_s", "acceleration_mm_s2", "turn")
+_OPTIONAL = ("trajectory", "intensity", "semi_axes_mm", *_VECTORS)
 
 
 @dataclass(frozen=True)
 class TrackTable:
-    """Particles, one row each; frames in rising order.
+    """Particles or bubbles, one row each; frames in rising order.
 
     Attributes
     ----------
@@ -110,6 +111,8 @@ class TrackTable:
     trajectory : (n,) numbers of trajectories; None where particles are not linked.
     intensity : (n,), of any scale.
     velocity_mm_s, acceleration_mm_s2 : (n, 3).
+    semi_axes_mm : (n, 3) of bubbles; None for particles.
+    turn : (n, 3, 3) directions of the semi-axes as rows; None: those of the world's axes.
     """
 
     frame: I64
@@ -118,12 +121,19 @@ class TrackTable:
     intensity: F64 | None = None
     velocity_mm_s: F64 | None = None
     acceleration_mm_s2: F64 | None = None
+    semi_axes_mm: F64 | None = None
+    turn: F64 | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
 
+    @property
+    def kind(self) -> Literal["particles", "bubbles"]:
+        """Kind of the rows, which is the task of their result."""
+        return "particles" if self.semi_axes_mm is None else "bubbles"
+
     def rows(self, chosen: Bool | I64) -> TrackTable:
-        """Return some of the particles."""
+        """Return some of the rows."""
         columns = {
             name: None if getattr(self, name) is None else getattr(self, name)[chosen]
             for name in _OPTIONAL
@@ -140,28 +150,27 @@ class TrackTable:
         return self.rows(np.arange(low, high))
 
     def into(self, world: ForeignWorld) -> TrackTable:
-        """Transform positions, velocities and accelerations from our world to another."""
+        """Transform positions and vectors from our world to another."""
         return self._turned(world.into(self.position_mm), np.asarray(world.axes).T)
 
     def back(self, world: ForeignWorld) -> TrackTable:
-        """Transform positions, velocities and accelerations from another world to ours."""
+        """Transform positions and vectors from another world to ours."""
         return self._turned(world.back(self.position_mm), np.asarray(world.axes))
 
     def _turned(self, position: F64, axes: F64) -> TrackTable:
-        velocity, acceleration = (
-            None if vector is None else vector @ axes
-            for vector in (self.velocity_mm_s, self.acceleration_mm_s2)
-        )
-        return replace(
-            self, position_mm=position, velocity_mm_s=velocity, acceleration_mm_s2=acceleration
-        )
+        given = [name for name in _VECTORS if getattr(self, name) is not None]
+        turned = {name: getattr(self, name) @ axes for name in given}
+        return replace(self, position_mm=position, **turned)
 
-    def estimate(self, frame: int) -> FoundParticles:
-        """Return the particles of a frame as an estimate.
+    def estimate(self, frame: int) -> FoundParticles | Detections:
+        """Return the particles or bubbles of a frame as an estimate.
 
-        Raises InputError for two particles of one trajectory.
+        Raises InputError for two of one trajectory.
         """
         part = self.of_frame(frame)
+        if part.semi_axes_mm is not None:
+            turn = np.tile(np.eye(3), (len(part), 1, 1)) if part.turn is None else part.turn
+            return Detections(part.position_mm, part.semi_axes_mm, turn, part.trajectory)
         return FoundParticles(
             part.position_mm,
             part.intensity,
@@ -205,7 +214,7 @@ def of_estimates(found: Sequence[FoundParticles]) -> TrackTable:
     parts = {
         name: [getattr(frame, name) for frame in found]
         for name in ("position_mm", *_OPTIONAL)
-        if all(getattr(frame, name) is not None for frame in found)
+        if all(getattr(frame, name, None) is not None for frame in found)
     }
     joined = {name: np.concatenate(part) for name, part in parts.items()}
     return TrackTable(np.repeat(np.arange(len(found)), counts), **joined)

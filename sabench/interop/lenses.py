@@ -28,7 +28,7 @@ from sabench.utils.errors import InputError
 PIXEL_MM = 0.01  # pixel size for files with focal lengths in pixels; no projection depends on it
 F_NUMBER = 8.0  # no format has one
 _ROUNDED = 1e-12  # change of a rotation, or of a ratio of focal lengths, due to double precision
-_LARGEST_CHANGE = 1e-3  # largest correction of a printed rotation's elements
+LARGEST_CHANGE = 1e-3  # largest correction of a printed rotation's elements
 _NEAREST_MM, _FARTHEST_MM = 15.0, 1e5  # distances between cameras in mm; others are other units
 
 
@@ -78,20 +78,26 @@ class Extent:
         return self.size
 
 
+def orthonormal(matrices: F64) -> F64:
+    """Find the orthonormal matrices nearest to others (..., 3, 3).
+
+    In the Frobenius norm they come from the singular value decomposition (Horn, Hilden and
+    Negahdaripour, J. Opt. Soc. Am. A 5 (1988) 1127).
+    """
+    left, _, right = np.linalg.svd(matrices)
+    return np.asarray(left @ right)
+
+
 def nearest_rotation(matrix: F64, where: str, focal_px: float) -> F64:
     """Find the rotation nearest to a printed matrix, and note the distance.
 
-    The nearest in the Frobenius norm comes from the singular value decomposition (Horn, Hilden and
-    Negahdaripour, J. Opt. Soc. Am. A 5 (1988) 1127).
-
     Raises InputError for a matrix that is no rotation, or a left-handed one.
     """
-    left, _, right = np.linalg.svd(matrix)
-    rotation = np.asarray(left @ right)
+    rotation = orthonormal(matrix)
     change = float(np.abs(rotation - matrix).max())
     if np.linalg.det(matrix) < 0.0:
         raise InputError(f"{where}: rotation: expected right-handed axes, got left-handed ones")
-    if not change <= _LARGEST_CHANGE:
+    if not change <= LARGEST_CHANGE:
         raise InputError(
             f"{where}: rotation: expected an orthonormal matrix, got one that differs from it by "
             f"{change:.2g}"
@@ -181,8 +187,7 @@ def check_positive(where: str, what: str, *values: float) -> None:
 
 def center_of(rotation: F64, translation: F64) -> F64:
     """Compute the pinhole of x_camera = R x + t, with the rotation nearest to R."""
-    left, _, right = np.linalg.svd(rotation)
-    return np.asarray(-(left @ right).T @ translation)
+    return np.asarray(-orthonormal(rotation).T @ translation)
 
 
 def check_media(where: str, indices: Sequence[float]) -> None:

@@ -121,10 +121,7 @@ def write_cameras(
     (folder / _FILE).write_text(text, encoding="utf-8")
 
 
-LOST_OF_TRACKS = (
-    "intensities, velocities and accelerations",
-    "light of each camera, covariances and probabilities",
-)
+LOST_OF_TRACKS = ("intensities, velocities and accelerations",)
 _NAME = r"(?:.*?\D)?(?P<frame>\d+)\.(?:dat|txt|tec)"
 _HEAD = re.compile(r"^\s*(title|variables|zone)\b", re.IGNORECASE)
 _WORD = re.compile(r'"([^"]*)"|([^\s",=]+)')

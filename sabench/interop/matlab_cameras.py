@@ -9,7 +9,6 @@ Pixel (1, 1) is the centre of the first pixel.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -20,6 +19,7 @@ from sabench.geometry.lens import Distortion
 from sabench.interop.lenses import Extent, StoredCamera, camera_of_matrix, center_of
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from sabench.worlds.library.array_files import load_old_matlab
 
 _LENS = ("K", "IntrinsicMatrix", "RadialDistortion", "TangentialDistortion", "ImageSize")
 _FIELDS = (*_LENS, "R", "t", "T", "RotationMatrix", "TranslationVector")
@@ -62,15 +62,8 @@ def _structures_of_hdf5(path: Path) -> dict[str, Structure]:
 
 def _structures_of_mat(path: Path) -> dict[str, Structure]:
     """Read the structures of versions 4 to 7."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        content: dict[str, Any] = loadmat(path, squeeze_me=False, struct_as_record=True)
-    except (MatReadError, ValueError, TypeError, NotImplementedError, OSError) as error:
-        raise InputError(f"{path}: expected a MATLAB file, got {error}") from error
     structures = {}
-    for name, value in content.items():
+    for name, value in load_old_matlab(path).items():
         fields = getattr(value, "dtype", np.dtype(float)).names
         if fields and value.size == 1:
             wanted = {field: value[field].flat[0] for field in fields if field in _FIELDS}

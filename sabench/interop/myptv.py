@@ -233,11 +233,7 @@ def _least_squares(terms: F64, values: F64) -> tuple[F64, float]:
     return np.asarray(solution), float(np.abs(terms @ solution - values).max())
 
 
-LOST_OF_TRACKS = (
-    "intensities of particles",
-    "light of each camera, covariances and probabilities",
-    "sizes of blobs (they are 3 x 3 pixels)",
-)
+LOST_OF_TRACKS = ("intensities of particles", "sizes of blobs (they are 3 x 3 pixels)")
 _NAMES = ("smoothed_trajectories", "trajectories", "particles")
 _SMOOTHED = 11  # columns
 

@@ -1,4 +1,4 @@
-"""Tables of tracks with named columns: CSV and other text, NetCDF, MATLAB.
+"""Tables of particles or bubbles with named columns: text, NumPy, NetCDF, MATLAB.
 
 Names are those that programs in use write; the case of letters and what follows a unit's bracket do
 not matter. Other columns are left out, with a note. NetCDF is written in the classic format (NetCDF
@@ -6,16 +6,17 @@ not matter. Other columns are left out, with a note. NetCDF is written in the cl
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
 from sabench.interop.foreign import Recording, TrackTable, note, number_strangers
+from sabench.interop.lenses import LARGEST_CHANGE, orthonormal
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.tables import UnitArray, read_table
@@ -29,11 +30,14 @@ _TRAJECTORY = (
     "trajid", "traj", "traj_id", "trajectory_id", "trajectory_index",
 )  # fmt: skip
 _INTENSITY = ("intensity", "mass", "brightness", "i")
-_AXES = "xyz"
 _POSITION = ("{}", "{}_mm", "{}_m", "world{}", "pos_{}", "position_{}", "{}f")
 _VELOCITY = ("velocity_{}", "velocity_{}_mm_s", "v{}", "vel_{}", "u{}")
-_VELOCITY_UVW = ("{}", "{}_mm_s", "{}f")
+_COMPONENTS = ("{}", "{}_mm_s", "{}f")  # named u, v, w
 _ACCELERATION = ("acceleration_{}", "acceleration_{}_mm_s2", "a{}", "acc_{}", "a{}f")
+_SEMI_AXES = ("{}", "{}_mm", "{}_m", "semi_axis_{}", "semi_axis_{}_mm", "semi_axis_{}_m")
+_RADIUS = ("radius", "radius_mm", "radius_m", "r", "r_mm", "r_m")  # all three semi-axes
+_TURN = [(f"turn_{row}{column}",) for row in "123" for column in "123"]  # rows along semi-axes
+_DIAMETER = ("diameter", "diameter_mm", "diameter_m", "d", "d_mm", "d_m", "equivalent_diameter")
 _UNITS = {"_mm": "mm", "_m": "m", "_mm_s": "mm/s", "_mm_s2": "mm/s2"}
 _NETCDF_UNITS = {"_mm": "mm", "_mm_s": "mm s-1", "_mm_s2": "mm s-2", "time_s": "s"}
 _BLOCK = 512  # bytes before the HDF5 part of a MATLAB file
@@ -44,19 +48,25 @@ _MATLAB_HEADER = (
 
 @dataclass(frozen=True)
 class NamedColumns:
-    """Format of tables of tracks with named columns.
+    """Format of tables with named columns.
 
     Attributes
     ----------
     file : name of the file in a folder.
-    read : reads the columns of a file.
+    read : reads the columns of a file; those without names have numbers from 1.
     write : writes columns into a file.
+    names : of the columns; empty: those of the file.
+    single : whether a table without frames or times is one frame.
+    bubbles : whether sizes are read.
     """
 
     file: str
     read: Callable[[Path], dict[str, UnitArray]]
     write: Callable[[Path, Mapping[str, npt.NDArray[Any]]], None]
-    LOST_OF_TRACKS = ("light of each camera", "covariances", "probabilities")
+    names: Sequence[str] = ()
+    single: bool = False
+    bubbles: bool = False
+    LOST_OF_TRACKS: ClassVar[tuple[str, ...]] = ()
 
     def read_tracks(self, path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
         """Read a file, or the file of a folder.
@@ -64,7 +74,16 @@ class NamedColumns:
         Raises InputError for a missing file, a broken one, or one without frames and positions.
         """
         file = path / self.file if path.is_dir() else path
-        return table_of_columns(str(file), self.read(file), unit)
+        columns = self.read(file)
+        names = list(self.names or columns)
+        if len(set(names)) != len(columns) or "1" in names:
+            got = ", ".join(self.names) or "none"
+            raise InputError(
+                f"{file}: expected names of its {len(columns)} columns, in the first line or by "
+                f"--columns, as in frame,x,y,z,radius; got {got}"
+            )
+        named = dict(zip(names, columns.values(), strict=True))
+        return table_of_columns(str(file), named, unit, self.single, self.bubbles)
 
     def write_tracks(self, folder: Path, table: TrackTable, recording: Recording) -> None:
         """Write the file of a folder."""
@@ -78,16 +97,20 @@ class NamedColumns:
             ("acceleration_{}_mm_s2", table.acceleration_mm_s2),
         ):
             if values is not None:
-                columns |= {name.format(axis): values[:, i] for i, axis in enumerate(_AXES)}
+                columns |= {name.format(axis): values[:, i] for i, axis in enumerate("xyz")}
         if table.intensity is not None:
             columns["intensity"] = table.intensity
         self.write(folder / self.file, columns)
 
 
 def _read_text(file: Path) -> dict[str, UnitArray]:
-    table = read_table(file, 4)
-    if not table.names:
-        raise InputError(f"{file}: expected a first line with the names of its columns, got none")
+    table = read_table(file, 3)
+    count = table.values.shape[1]
+    if table.names and len({*table.names} - {f"column_{count}"}) < count:
+        raise InputError(
+            f"{file}: expected different names for its {count} columns in the first line, got "
+            f"{', '.join(table.names)}; decimal commas need semicolons between columns"
+        )
     return table.columns()
 
 
@@ -95,6 +118,26 @@ def _write_text(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
     rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _read_numpy(file: Path) -> dict[str, UnitArray]:
+    """Read an array (rows, columns), or one of records with names."""
+    try:
+        array = np.load(file, allow_pickle=False)
+        records = array.dtype.names
+        table = {name: array[name] for name in records} if records else enumerate(array.T, 1)
+        columns = {str(name): UnitArray(part.astype(float)) for name, part in dict(table).items()}
+        if {one.values.ndim for one in columns.values()} == {1}:
+            return columns
+    except (OSError, ValueError, EOFError, TypeError, AttributeError):
+        pass
+    got = "another" if file.is_file() else "none"
+    raise InputError(f"{file}: expected a .npy file with numbers (rows, columns), got {got}")
+
+
+def _write_numpy(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+    rows = list(zip(*columns.values(), strict=True))
+    np.save(file, np.array(rows, dtype=[(name, values.dtype) for name, values in columns.items()]))
 
 
 def _read_netcdf(file: Path) -> dict[str, UnitArray]:
@@ -168,119 +211,141 @@ def _write_matlab(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
 
 
 CSV = NamedColumns("tracks.csv", _read_text, _write_text)
+NUMPY = NamedColumns("tracks.npy", _read_numpy, _write_numpy)
 NETCDF = NamedColumns("tracks.nc", _read_netcdf, _write_netcdf)
 MATLAB = NamedColumns("tracks.mat", _read_matlab, _write_matlab)
 
 
-def table_of_columns(where: str, columns: Columns, unit: str | None) -> TrackTable:
+def table_of_columns(
+    where: str, columns: Columns, unit: str | None, single: bool = False, bubbles: bool = False
+) -> TrackTable:
     """Make a table of named columns (n,).
 
     Parameters
     ----------
     where : file, for sentences.
     unit : of lengths; None: as the columns say, else mm.
+    single : whether a table without frames or times is one frame.
+    bubbles : whether sizes are read; rows with sizes are bubbles, others particles.
 
-    Raises InputError for no frame or time, no positions, or values that are not finite or, where
-    they are numbers of frames and trajectories, not whole.
+    Raises InputError for no frame or time, no positions, sizes that are not positive, axes that are
+    not at right angles, or values that are not finite or, where they are numbers of frames and
+    trajectories, not whole.
     """
-    by_name = {name.strip().lower(): name for name in columns}
-    used = list[str]()
-
-    def find(names: tuple[str, ...]) -> str | None:
-        column = next((by_name[name] for name in names if name in by_name), None)
-        used.extend([column] if column else [])
-        return column
-
-    position = _vector(where, columns, find, (_POSITION,), unit, "position")
+    table = _Table(where, columns, unit)
+    position = table.vector((_POSITION, "xyz"))
     if position is None:
         raise InputError(
             f"{where}: expected columns x, y and z, found {', '.join(columns) or 'none'}"
         )
-    frame = _frames(where, columns, find(_FRAME), find(_TIME))
-    trajectory = find(_TRAJECTORY)
-    velocity = _vector(where, columns, find, (_VELOCITY, _VELOCITY_UVW), unit, "velocity")
-    acceleration = _vector(where, columns, find, (_ACCELERATION,), unit, "acceleration")
-    intensity = find(_INTENSITY)
-    left = [name for name in columns if name not in used]
-    if left:
-        note(f"{where}: left out the columns {', '.join(left)}")
-    return TrackTable(
-        frame,
-        position,
-        None
-        if trajectory is None
-        else number_strangers(_whole(where, trajectory, columns[trajectory].values)),
-        None if intensity is None else _finite(where, intensity, columns[intensity].values),
-        velocity,
-        acceleration,
-    ).sorted()
-
-
-def _frames(where: str, columns: Columns, frame: str | None, time: str | None) -> I64:
-    """Return numbers of frames; without them, the times are numbered in their order."""
-    if frame is not None:
-        return _whole(where, frame, columns[frame].values)
-    if time is None:
-        raise InputError(
-            f"{where}: expected a column frame or time, found {', '.join(columns) or 'none'}"
-        )
-    note(f"{where}: it has no column of frames: its times are numbered in their order")
-    values = _finite(where, time, columns[time].values)
-    return np.asarray(np.unique(values, return_inverse=True)[1], dtype=np.int64)
-
-
-def _vector(
-    where: str,
-    columns: Columns,
-    find: Callable[[tuple[str, ...]], str | None],
-    families: tuple[tuple[str, ...], ...],
-    unit: str | None,
-    kind: str,
-) -> F64 | None:
-    """Return a vector's components (n, 3) in mm, mm/s or mm/s2; None if missing."""
-    for family in families:
-        axes = "uvw" if family is _VELOCITY_UVW else _AXES
-        names = [find(tuple(form.format(axis) for form in family)) for axis in axes]
-        present = [name for name in names if name is not None]
-        if len(present) == 3:
-            parts = [
-                _finite(where, name, columns[name].values)
-                * _factor(where, name, columns[name], unit, kind)
-                for name in present
-            ]
-            return np.stack(parts, axis=1)
-    return None
-
-
-def _factor(where: str, name: str, column: UnitArray, unit: str | None, kind: str) -> float:
-    """Return a column's unit in mm, mm/s or mm/s2: the given one, its own, or mm."""
-    ending = re.search(r"_(mm_s2|mm_s|mm|m)$", name.lower())
-    stated = column.unit or (_UNITS[f"_{ending[1]}"] if ending else None)
-    if kind == "velocity" and stated and unit is None:
-        return speed_mm_s(None, UnitArray(column.values, stated), f"{where}: {name}", "unit")
-    if kind == "acceleration" and stated and unit is None:
-        length = re.sub(r"(?:/|\s+)s.*$", "", stated)
+    frame, trajectory = table.frames(single), table.first(_TRAJECTORY, "whole")
+    velocity = acceleration = intensity = turn = None
+    semi_axes = table.semi_axes() if bubbles else None
+    if semi_axes is None:
+        velocity = table.vector((_VELOCITY, "xyz"), (_COMPONENTS, "uvw"), kind="velocity")
+        acceleration = table.vector((_ACCELERATION, "xyz"), kind="acceleration")
+        intensity = table.first(_INTENSITY)
     else:
-        length = unit or stated or "mm"
-    return length_mm(length, column, f"{where}: {name}", "unit")
+        turn = table.turn(semi_axes)
+    if left := [name for name in columns if name not in table.used]:
+        note(f"{where}: left out the columns {', '.join(left)}")
+    number = None if trajectory is None else number_strangers(trajectory.astype(np.int64))
+    both = (velocity, acceleration, semi_axes, turn)
+    return TrackTable(frame, position, number, intensity, *both).sorted()
 
 
-def _whole(where: str, name: str, values: npt.NDArray[Any]) -> I64:
-    numbers = _finite(where, name, values)
-    broken = np.flatnonzero((numbers != np.rint(numbers)) | (np.abs(numbers) > 2**53))
-    if len(broken):
-        raise InputError(
-            f"{where}: {name}: expected whole numbers, got {numbers[broken[0]]:g} in row "
-            f"{broken[0] + 1}"
-        )
-    return numbers.astype(np.int64)
+class _Table:
+    """Named columns of a file, and which of them were used."""
 
+    def __init__(self, where: str, columns: Columns, unit: str | None) -> None:
+        self.where, self.columns, self.unit = where, columns, unit
+        self.names, self.used = {name.strip().lower(): name for name in columns}, set[str]()
 
-def _finite(where: str, name: str, values: npt.NDArray[Any]) -> F64:
-    numbers = np.asarray(values, dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if len(bad):
-        raise InputError(
-            f"{where}: {name}: expected finite numbers, got {numbers[bad[0]]} in row {bad[0] + 1}"
-        )
-    return numbers
+    def find(self, *each: Sequence[str]) -> list[str]:
+        """Find one column for each of several quantities; none if one is missing."""
+        named = [[self.names[name] for name in names if name in self.names] for names in each]
+        found = [names[0] for names in named if names] if all(named) else []
+        self.used.update(found)
+        return found
+
+    def values(self, name: str, expected: str = "finite") -> F64:
+        """Return a column of finite, whole or positive numbers."""
+        numbers = np.asarray(self.columns[name].values, dtype=np.float64)
+        good = np.isfinite(numbers)
+        if expected == "whole":
+            good &= (numbers == np.rint(numbers)) & (np.abs(numbers) <= 2**53)
+        elif expected == "positive":
+            good &= numbers > 0.0
+        if not good.all():
+            row = int(np.argmin(good))
+            raise InputError(
+                f"{self.where}: {name}: expected {expected} numbers, got {numbers[row]:g} in row "
+                f"{row + 1}"
+            )
+        return numbers
+
+    def first(self, names: Sequence[str], expected: str = "finite") -> F64 | None:
+        """Return the first column of several names; None if there is none."""
+        return next((self.values(name, expected) for name in self.find(names)), None)
+
+    def vector(
+        self, *families: tuple[Sequence[str], str], kind: str = "", expected: str = "finite"
+    ) -> F64 | None:
+        """Return a vector's components (n, 3) in mm, mm/s or mm/s2; None if missing."""
+        for forms, axes in families:
+            names = self.find(*([form.format(axis) for form in forms] for axis in axes))
+            if names:
+                parts = [self.values(name, expected) * self._factor(name, kind) for name in names]
+                return np.stack(parts, axis=1)
+        return None
+
+    def frames(self, single: bool) -> I64:
+        """Return numbers of frames; without them, the times are numbered in their order."""
+        frame, time = self.first(_FRAME, "whole"), self.first(_TIME)
+        if frame is not None:
+            return frame.astype(np.int64)
+        if time is not None:
+            note(f"{self.where}: it has no column of frames: its times are numbered in their order")
+            return np.unique(time, return_inverse=True)[1].astype(np.int64)
+        if not single:
+            found = ", ".join(self.columns) or "none"
+            raise InputError(f"{self.where}: expected a column frame or time, found {found}")
+        return np.zeros(len(next(iter(self.columns.values())).values), dtype=np.int64)
+
+    def semi_axes(self) -> F64 | None:
+        """Return the semi-axes (n, 3) of bubbles, mm; None without sizes."""
+        names = (_SEMI_AXES, "abc"), (_RADIUS, "abc")
+        if (semi_axes := self.vector(*names, expected="positive")) is not None:
+            return semi_axes
+        diameter = self.vector((_DIAMETER, "abc"), expected="positive")
+        return None if diameter is None else diameter / 2.0
+
+    def turn(self, semi_axes: F64) -> F64 | None:
+        """Return the directions of semi-axes as rows (n, 3, 3); None without."""
+        names = self.find(*_TURN)
+        if not names:
+            if np.ptp(semi_axes, axis=1).any():
+                note(f"{self.where}: no turn_11 to turn_33: the semi-axes lie along X, Y and Z")
+            return None
+        printed = np.stack([self.values(name) for name in names], axis=1).reshape(-1, 3, 3)
+        turn = orthonormal(printed)
+        wrong = np.flatnonzero(np.abs(turn - printed).max(axis=(1, 2)) > LARGEST_CHANGE)
+        if len(wrong):
+            raise InputError(
+                f"{self.where}: turn_11 to turn_33: expected unit vectors at right angles, got "
+                f"others in row {wrong[0] + 1}"
+            )
+        return turn
+
+    def _factor(self, name: str, kind: str) -> float:
+        """Return a column's unit in mm, mm/s or mm/s2: the given one, its own, or mm."""
+        column, where = self.columns[name], f"{self.where}: {name}"
+        ending = re.search(r"_(mm_s2|mm_s|mm|m)$", name.lower())
+        stated = column.unit or (_UNITS[f"_{ending[1]}"] if ending else None)
+        if kind == "velocity" and stated and self.unit is None:
+            return speed_mm_s(None, UnitArray(column.values, stated), where, "unit")
+        if kind == "acceleration" and stated and self.unit is None:
+            length = re.sub(r"(?:/|\s+)s.*$", "", stated)
+        else:
+            length = self.unit or stated or "mm"
+        return length_mm(length, column, where, "unit")

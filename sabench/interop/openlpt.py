@@ -107,31 +107,22 @@ def camera_text(camera: Camera) -> str:
     across, down = camera.principal_point_px
     wall = camera.wall if isinstance(camera.wall, Wall) else None
     bends = wall is not None and len(set(wall.indices)) > 1
-    parts = [
-        "# Camera Model",
-        "PINPLATE" if bends else "PINHOLE",
-        "# Camera Calibration Error",
-        "None",
-        "# Pose Calibration Error",
-        "None",
-        "# Image Size: (n_row,n_col)",
-        f"{camera.rows},{camera.columns}",
-        "# Camera Matrix",
-        _rows(np.array([[focal, 0.0, across], [0.0, focal, down], [0.0, 0.0, 1.0]])),
-        "# Distortion Coefficients",
-        _row([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
-        "# Rotation Vector",
-        "0,0,0",
-        "# Rotation Matrix",
-        _rows(rotation),
-        "# Inverse of Rotation Matrix",
-        _rows(rotation.T),
-        "# Translation Vector",
-        _row(-rotation @ center),
-        "# Inverse of Translation Vector",
-        _row(center),
-    ]
-    return "\n".join([*parts, *(_plates(wall) if wall and bends else ())]) + "\n"
+    matrix = np.array([[focal, 0.0, across], [0.0, focal, down], [0.0, 0.0, 1.0]])
+    parts = {
+        "Camera Model": "PINPLATE" if bends else "PINHOLE",
+        "Camera Calibration Error": "None",
+        "Pose Calibration Error": "None",
+        "Image Size: (n_row,n_col)": f"{camera.rows},{camera.columns}",
+        "Camera Matrix": _rows(matrix),
+        "Distortion Coefficients": _row([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
+        "Rotation Vector": "0,0,0",
+        "Rotation Matrix": _rows(rotation),
+        "Inverse of Rotation Matrix": _rows(rotation.T),
+        "Translation Vector": _row(-rotation @ center),
+        "Inverse of Translation Vector": _row(center),
+    }
+    parts |= _plates(wall) if wall and bends else {}
+    return "".join(f"# {name}\n{text}\n" for name, text in parts.items())
 
 
 def missing() -> str | None:
@@ -152,28 +143,21 @@ def unfit(camera: Camera) -> str | None:
     return None
 
 
-def _plates(wall: Wall) -> list[str]:
+def _plates(wall: Wall) -> dict[str, str]:
     thick, indices = [layer.thickness_mm for layer in wall.layers], tuple(wall.indices)
     if not thick:  # OpenLPT needs a plate; one of fluid has no effect
         thick, indices = [_SKIN_MM], (*indices, wall.fluid_index)
     normal = np.asarray(wall.normal)
     inner = np.asarray(wall.point_mm) + normal * sum(thick)
-    return [
-        "# Reference point of the refractive plate",
-        _row(inner),
-        "# Normal vector, from the cameras to the objects",
-        _row(normal),
-        "# Refractive indices, from the objects to the cameras",
-        _row(indices[::-1]),
-        "# Widths",
-        _row(thick[::-1]),
-        "# Tolerance of the projection",
-        repr(_TOLERANCE),
-        "# Its largest number of iterations",
-        str(_ITERATIONS),
-        "# Its rate",
-        repr(_RATE),
-    ]
+    return {
+        "Reference point of the refractive plate": _row(inner),
+        "Normal vector, from the cameras to the objects": _row(normal),
+        "Refractive indices, from the objects to the cameras": _row(indices[::-1]),
+        "Widths": _row(thick[::-1]),
+        "Tolerance of the projection": repr(_TOLERANCE),
+        "Its largest number of iterations": str(_ITERATIONS),
+        "Its rate": repr(_RATE),
+    }
 
 
 def _row(values: Iterable[float]) -> str:
@@ -212,20 +196,11 @@ def write_project(
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
     ends = np.column_stack([low - voxel, low + voxel * np.asarray(grid.shape[::-1])])
     count = len(cameras)
-    lines = [
-        f"0,{frames - 1}",
-        "1",
-        str(settings.threads),
-        str(count),
-        *(f"{home}/cam{number}.txt,{WHITE}" for number in range(count)),
-        *(f"{home}/cam{number}ImageNames.txt" for number in range(count)),
-        _row(ends.ravel()),
-        repr(settings.mm_per_px),
-        f"{home}/results/",
-        "Tracer",
-        f"{home}/tracer.txt",
-        "0,0",
-    ]
+    lines = [f"0,{frames - 1}", "1", str(settings.threads), str(count)]
+    lines += [f"{home}/cam{number}.txt,{WHITE}" for number in range(count)]
+    lines += [f"{home}/cam{number}ImageNames.txt" for number in range(count)]
+    lines += [_row(ends.ravel()), repr(settings.mm_per_px), f"{home}/results/"]
+    lines += ["Tracer", f"{home}/tracer.txt", "0,0"]
     (folder / "config.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "tracer.txt").write_text("\n".join(_tracer(settings, ends)) + "\n", encoding="utf-8")
 
@@ -256,7 +231,8 @@ def _tracer(settings: Settings, ends: F64) -> list[str]:
 def read_result(folder: Path, frames: int) -> list[FoundParticles]:
     """Read the particles of every frame from OpenLPT's files of tracks."""
     table = read_files(track_files(folder), None)
-    return [table.estimate(frame) for frame in range(frames)]
+    parts = [table.of_frame(frame) for frame in range(frames)]
+    return [FoundParticles(part.position_mm, trajectory=part.trajectory) for part in parts]
 
 
 def solve(folder: Path, frames: int) -> list[FoundParticles]:
@@ -273,10 +249,7 @@ def solve(folder: Path, frames: int) -> list[FoundParticles]:
 # files that OpenLPT's own programs read as the result
 _KINDS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")
 _HEAD = ("TrackID", "FrameID", "WorldX", "WorldY", "WorldZ")
-LOST_OF_TRACKS = (
-    "intensities, velocities and accelerations",
-    "light of each camera, covariances and probabilities",
-)
+LOST_OF_TRACKS = ("intensities, velocities and accelerations",)
 
 
 def track_files(path: Path) -> list[Path]:
@@ -317,9 +290,8 @@ def _read_file(file: Path, unit: str | None) -> TrackTable:
     table = read_table(file, 5)
     names = [name.strip() for name in table.names]
     if not len(table.values):
-        return TrackTable(
-            np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-        )
+        none = np.zeros(0, dtype=np.int64)
+        return TrackTable(none, np.zeros((0, 3)), none)
     missing = next((name for name in _HEAD if name not in names), None)
     if missing:
         raise InputError(

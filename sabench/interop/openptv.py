@@ -142,17 +142,8 @@ def orientation_text(camera: Camera, world: ForeignWorld) -> str:
     across, above = (np.asarray(camera.principal_point_px) + 0.5) * camera.pixel_mm - np.array(
         [camera.columns, camera.rows]
     ) * camera.pixel_mm / 2.0
-    rows = [
-        position,
-        angles,
-        [],
-        *rotation,
-        [],
-        [across, -above],
-        [camera.principal_distance_mm],
-        [],
-        _glass(camera, world, position),
-    ]
+    rows = [position, angles, [], *rotation, [], [across, -above]]
+    rows += [[camera.principal_distance_mm], [], _glass(camera, world, position)]
     return "\n".join(" ".join(repr(float(value)) for value in row) for row in rows) + "\n"
 
 

@@ -110,13 +110,8 @@ def _read_camera(root: Path, name: str, control: _Control) -> CameraModel:
         np.array(split_numbers(text, f"{path}: line {number}", count))
         for (number, text), count in zip(lines, counts, strict=False)
     ]
-    position, turned, (across, above), (distance,), glass = (
-        rows[0],
-        np.stack(rows[2:5]),
-        rows[5],
-        rows[6],
-        rows[7],
-    )
+    position, turned = rows[0], np.stack(rows[2:5])
+    (across, above), (distance,), glass = rows[5:8]
     lenses.check_positive(str(path), "principal distance", distance)
     rotation = np.stack([turned[:, 0], -turned[:, 1], -turned[:, 2]])
     wall = _wall(path, control, glass, position)
@@ -266,7 +261,6 @@ def write_parameters(
 FIRST = 10001  # number of our frame 0 in the names of files
 LOST_OF_TRACKS = (
     "intensities, velocities and accelerations of particles",
-    "light of each camera, covariances and probabilities",
     "sizes of targets (they are 3 x 3 pixels)",
 )
 

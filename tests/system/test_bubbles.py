@@ -1,5 +1,6 @@
 """Bubbles from scene to score: phases, detections, and trajectories."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,9 @@ from sabench.simulation.pipeline import generate
 from sabench.tasks import bubbles
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.arrays import F64, I64
+from tests.conftest import Command
 from tests.helpers.bubble_scenes import LASER, small
+from tests.helpers.commands import succeed
 from tests.helpers.refusals import refused
 
 MIDDLE = [0.0, 0.0, 60.0]
@@ -51,6 +54,19 @@ def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
         shown = np.median(image[sight.number == NOTHING])
         assert shown == pytest.approx(0.7 * 4000.0, rel=0.06)
         assert image[sight.number != NOTHING].mean() < 0.6 * shown
+
+
+@pytest.mark.slow
+def test_a_table_of_bubbles_is_scored(bubbly: Dataset, tmp_path: Path, command: Command) -> None:
+    true, table, out = bubbly.bubbles(0), tmp_path / "found.csv", tmp_path / "found.h5"
+    rows = np.column_stack([true.center_mm, 2.2 * true.radius_mm])[1:]
+    np.savetxt(table, rows, delimiter=",", header="x,y,z,diameter", comments="")
+    done = succeed(command("import-result", bubbly.root, table, "--from", "csv", "-o", out))
+    assert f"{len(rows)} bubbles in 1 frames" in done.stdout
+    figures = json.loads(succeed(command("score", bubbly.root, out, "--json")).stdout)
+    assert figures["precision"] == 1.0
+    assert figures["recall"] == pytest.approx(len(rows) / len(true))
+    assert figures["radius_percent"] == pytest.approx(10.0)
 
 
 @pytest.mark.slow

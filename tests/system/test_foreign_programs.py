@@ -47,7 +47,7 @@ def export_quietly(tank: Dataset, out: Path, result: Path | None, to: Format) ->
 
 
 @pytest.mark.slow_but_first
-@pytest.mark.parametrize("form", [*PROGRAMS, "netcdf", "mat", "csv"])
+@pytest.mark.parametrize("form", [*PROGRAMS, "netcdf", "mat", "npy", "csv"])
 def test_a_result_comes_back(form: TrackFormat, tank: Dataset, truth: Path, tmp_path: Path) -> None:
     folder = export_quietly(tank, tmp_path / "out", truth, form)
     import_result(tank, folder, tmp_path / "back.h5", form, solver="someone")
@@ -119,8 +119,10 @@ CSV = "frame,particle,x,y,z\n"
         ("3,1,1,2,30\n", {"first": 4}, "from 4 on"),
         ("0,1,1,2,30\n0,1,1,1,30\n", {}, "frame 0: trajectory"),
         ("", {}, "found.csv"),
+        ("".join(f"{frame},1,1,-2,-30\n" for frame in range(6)), {}, "volume"),
+        ("0,1,1,2,30\n", {"task": "bubbles"}, "task: expected particles"),
     ],
-    ids=["metres", "frames", "first", "twice", "none"],
+    ids=["metres", "frames", "first", "twice", "none", "axes", "task"],
 )
 def test_wrong_results_are_one_sentence(
     tank: Dataset, tmp_path: Path, rows: str, more: dict[str, Any], key: str
@@ -131,16 +133,46 @@ def test_wrong_results_are_one_sentence(
     assert not (tmp_path / "out.h5").exists()
 
 
-def test_missing_frames_and_other_axes_are_said(tank: Dataset, tmp_path: Path) -> None:
+def test_missing_frames_and_few_inside_are_said(tank: Dataset, tmp_path: Path) -> None:
     missing = "0,1,1,2,30\n1,1,1,2,30\n3,1,1,2,30\n"
+    outside = "".join(f"{frame},{n},1,{9 * n},30\n" for frame in range(6) for n in range(11))
     for name, rows, key in (
         ("missing", missing, "frames 2, 4, 5"),
-        ("axes", "".join(f"{frame},1,1,-2,-30\n" for frame in range(6)), "volume"),
+        ("outside", outside, "volume"),
     ):
         (tmp_path / "found.csv").write_text(CSV + rows, encoding="utf-8")
         with pytest.warns(ForeignFormatWarning, match=key) as caught:
             import_result(tank, tmp_path / "found.csv", tmp_path / f"{name}.h5", "csv")
         check_sentence(str(caught[0].message))
+
+
+@pytest.mark.filterwarnings("ignore::sabench.interop.foreign.ForeignFormatWarning")
+@pytest.mark.parametrize(
+    ("shows", "row", "task", "key"),
+    [
+        (("bubbles",), "0,1,1,2,30,1e-5", None, "radii"),
+        (("bubbles",), "0,1,1,2,30,50", None, "radii"),
+        (("particles", "bubbles"), "0,1,1,2,30,1", None, "--task bubbles"),
+        (("target",), "0,1,1,2,30,1", None, "target"),
+        (("bubbles",), "0,1,1,2,30", None, "radius or diameter"),
+        (("particles", "bubbles"), "0,1,1,2,30", "bubbles", "radius or diameter"),
+    ],
+)
+def test_wrong_bubbles_are_one_sentence(
+    tank: Dataset,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    shows: tuple[str, ...],
+    row: str,
+    task: str | None,
+    key: str,
+) -> None:
+    monkeypatch.setattr(Dataset, "shows", shows)
+    head = ["frame", "particle", "x", "y", "z", "radius"][: len(row.split(","))]
+    (tmp_path / "found.csv").write_text(f"{','.join(head)}\n{row}\n", encoding="utf-8")
+    with refused(key):
+        import_result(tank, tmp_path / "found.csv", tmp_path / "out.h5", "csv", task=task)
+    assert not (tmp_path / "out.h5").exists()
 
 
 @pytest.mark.slow_but_first

@@ -1,8 +1,10 @@
 """Templates of repositories, and plug-ins that CONTRIBUTING.md shows."""
 
 import json
+import re
 import shutil
 import subprocess
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +15,7 @@ from sabench.api.make import make_solver
 from sabench.evaluation.solver_card import read_card
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import simulate
+from sabench.tasks import of
 from sabench.tasks.conformance import check_solver
 from tests.conftest import ROOT, Command
 from tests.docs.pages import blocks
@@ -48,8 +51,21 @@ def test_a_gate_passes_its_tests_when_its_baseline_is_written(made: Callable[[st
     assert first.returncode == 1
     assert "baseline.json" in first.stdout
     assert own_tests(folder, "--sabench-update").returncode == 0
-    done = own_tests(folder)
+    done = own_tests(folder, "-rP")
     assert done.returncode == 0, done.stdout
+    scores = [score.key for score in of("reconstruction").columns[:3]]
+    assert re.search(rf"asa: {' [-.0-9]+, '.join(scores)} [-.0-9]+\n", done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("kind", "suite"), [("gate", "tests/suite"), ("solver", "tests/suite"), ("suite", "mine")]
+)
+def test_a_workflow_warms_up_the_solvers_of_its_suite(kind: str, suite: str) -> None:
+    folder = ROOT / "templates" / kind
+    workflow = (folder / ".github" / "workflows" / "sabench.yml").read_text(encoding="utf-8")
+    (warmed,) = re.findall(r"run: sabench warmup (.*)\n", workflow)
+    solvers = tomllib.loads((folder / f"{suite}.toml").read_text(encoding="utf-8"))["solvers"]
+    assert warmed.split() == [solver["name"] for solver in solvers]
 
 
 @pytest.mark.slow

@@ -48,6 +48,7 @@ from sabench.tasks.external_programs import solver_name
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
+from sabench.utils.number_text import significant
 from sabench.utils.progress import say
 from sabench.utils.version import __version__
 
@@ -123,6 +124,9 @@ def run_case(
                 break
         earlier = old.solvers.get(name) if old else None
         entry = _solve_again(case, data, solver_entry, out, earlier, tolerances)
+        first = tasks.of(task_of(solver_entry)).columns[:3]
+        scores = [f"{score.key} {significant(entry.figures.get(score.key))}" for score in first]
+        say(f"{name}: {entry.error or ', '.join(scores)}")
         now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
     discard(case, data)
     out.unlink(missing_ok=True)

@@ -189,18 +189,24 @@ def _from_netcdf(path: Path, names: Names) -> dict[str, UnitArray]:
 def _from_matlab(path: Path, names: Names) -> dict[str, UnitArray]:
     """Read MATLAB files: version 7.3 is HDF5, versions 4 to 7 are SciPy's."""
     import h5py
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     if h5py.is_hdf5(path):
         return _from_hdf5(path, names)
-    try:
-        content = loadmat(path)
-    except (MatReadError, ValueError, TypeError, NotImplementedError, OSError) as error:
-        raise InputError(f"{path}: expected an intact MATLAB file, got {error}") from error
+    content = load_old_matlab(path)
     arrays = {name: array for name, array in content.items() if isinstance(array, np.ndarray)}
     chosen = _choose(path, names, arrays)
     return {name: UnitArray(_numbers(path, name, arrays[name])) for name in chosen}
+
+
+def load_old_matlab(path: Path) -> dict[str, Any]:
+    """Read a MATLAB file of version 4 to 7; raises InputError for a broken one."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        return dict(loadmat(path))
+    except (MatReadError, ValueError, TypeError, NotImplementedError, OSError) as error:
+        raise InputError(f"{path}: expected an intact MATLAB file, got {error}") from error
 
 
 def _numbers(path: Path, name: str, values: Any) -> F64:

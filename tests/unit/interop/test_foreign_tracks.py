@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file, savemat
 
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.interop.foreign import (
     ForeignFormatWarning,
     ForeignWorld,
@@ -19,6 +20,7 @@ from sabench.interop.foreign import (
     read_world,
 )
 from sabench.interop.tracks import TrackFormat, read_tracks, write_tracks
+from sabench.utils.arrays import triple
 from tests.helpers.refusals import check_sentence, refused
 from tests.unit.interop.test_cameras import rig
 
@@ -27,7 +29,7 @@ CAMERAS, GRID, _ = rig("particle-tracking")
 TIMES = (0.0, 0.25, 0.5)
 RECORDING = Recording(CAMERAS, TIMES)
 FORMATS: tuple[TrackFormat, ...] = (
-    *("openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"),
+    *("openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "npy", "csv"),
 )
 
 
@@ -63,7 +65,7 @@ def test_particles_come_back(form: TrackFormat, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.frame - found.frame[0], true.frame)
     np.testing.assert_array_equal(found.position_mm, true.position_mm)
     assert links(found) == links(true)
-    if form in ("myptv", "netcdf", "mat", "csv"):  # these hold velocities
+    if form in ("myptv", "netcdf", "mat", "npy", "csv"):  # these hold velocities
         for name in ("velocity_mm_s", "acceleration_mm_s2"):
             np.testing.assert_allclose(getattr(found, name), getattr(true, name), rtol=1e-14)
 
@@ -146,7 +148,107 @@ def test_columns_that_are_left_out_are_said(tmp_path: Path) -> None:
     check_sentence(" ".join(str(one.message) for one in said), "extra")
 
 
+def bubbles() -> TrackTable:
+    """Bubbles of two frames, in rising order."""
+    rng, base = np.random.default_rng(8), particles()
+    turn = rotation_matrices(rng.normal(size=(7, 3)))
+    axes = rng.uniform(0.3, 2.0, (7, 3))
+    return TrackTable(base.frame, base.position_mm, semi_axes_mm=axes, turn=turn)
+
+
+def write_bubbles(file: Path, columns: dict[str, Any]) -> None:
+    """Write the frames and positions of `bubbles` and other columns, as text or records."""
+    true = bubbles()
+    table = {"Frame": true.frame, **dict(zip("XYZ", true.position_mm.T, strict=True)), **columns}
+    rows = np.column_stack(list(table.values()))
+    if file.suffix == ".npy":
+        np.save(file, np.array([*map(tuple, rows)], dtype=[(name, float) for name in table]))
+    else:
+        np.savetxt(file, rows, fmt="%.17g", delimiter=";", header=";".join(table), comments="")
+
+
+@pytest.mark.parametrize("form", ["csv", "npy"])
+def test_bubbles_are_read_by_the_names_of_their_sizes(form: TrackFormat, tmp_path: Path) -> None:
+    true, file = bubbles(), tmp_path / f"found.{form}"
+    axes, turn = np.asarray(true.semi_axes_mm), np.asarray(true.turn)
+    radius = axes[:, 0]
+    nine = {f"turn_{i + 1}{j + 1}": turn[:, i, j] for i in range(3) for j in range(3)}
+    for columns, expected, rotations in (
+        ({"Radius": radius}, np.tile(radius, (3, 1)).T, None),
+        ({"d_m": 2e-3 * radius}, np.tile(radius, (3, 1)).T, None),
+        (dict(zip("abc", axes.T, strict=True)), axes, None),
+        (dict(zip(("a_mm", "b_mm", "c_mm"), axes.T, strict=True)) | nine, axes, turn),
+    ):
+        write_bubbles(file, columns)
+        found = read_tracks(file, form, bubbles=True)
+        assert found.semi_axes_mm is not None
+        np.testing.assert_allclose(found.semi_axes_mm, expected, rtol=1e-14)
+        np.testing.assert_array_equal(found.position_mm, true.position_mm)
+        assert (found.turn is None) == (rotations is None)
+        if rotations is not None:
+            np.testing.assert_allclose(np.asarray(found.turn), rotations, atol=1e-14)
+
+
+def test_columns_that_a_kind_does_not_have_are_said(tmp_path: Path) -> None:
+    sizes = np.asarray(bubbles().semi_axes_mm)[:, 0]
+    write_bubbles(tmp_path / "found.csv", {"radius": sizes, "vx": sizes, "mass": sizes, "b": sizes})
+    for kind, lost in ((True, "vx, mass, b"), (False, "radius, vx, b")):
+        with pytest.warns(ForeignFormatWarning) as said:
+            read_tracks(tmp_path / "found.csv", "csv", bubbles=kind)
+        check_sentence(str(said[-1].message), lost)
+
+
+def test_names_replace_those_of_a_table(tmp_path: Path) -> None:
+    rows = np.array([[1.0, 2.0, 3.0, 0.5], [4.0, 5.0, 6.0, 0.25]])
+    np.save(tmp_path / "found", rows)
+    np.savetxt(tmp_path / "found.csv", rows, header="some;other;names;here", delimiter=";")
+    names = ("x", "y", "z", "radius")
+    for form in ("npy", "csv"):
+        more = {"names": names, "bubbles": True, "single": True}
+        found = read_tracks(tmp_path / f"found.{form}", form, **more)  # type: ignore[arg-type]
+        assert found.frame.tolist() == [0, 0]
+        np.testing.assert_array_equal(np.asarray(found.semi_axes_mm)[:, 2], rows[:, 3])
+    with refused("4 columns", "x, y, z"):
+        read_tracks(tmp_path / "found.npy", "npy", names=names[:3])
+    with refused("columns", "openptv"):
+        read_tracks(tmp_path, "openptv", names=names)
+
+
+def test_bubbles_turn_with_the_world() -> None:
+    """The matrix of an ellipsoid in another world is that of its turned points."""
+    rows = tuple(triple(row) for row in rotation_matrices(np.array([0.3, -0.8, 0.5])))
+    true, world = bubbles(), ForeignWorld((1.0, -2.0, 3.0), rows)
+    there, back = true.into(world), true.into(world).back(world)
+    np.testing.assert_allclose(np.asarray(back.turn), np.asarray(true.turn), atol=1e-14)
+    for row in range(len(true)):
+        axes = np.diag(np.asarray(true.semi_axes_mm)[row])
+        tip = axes @ np.asarray(true.turn)[row] + true.position_mm[row]
+        turned = axes @ np.asarray(there.turn)[row] + there.position_mm[row]
+        np.testing.assert_allclose(world.into(tip), turned, atol=1e-13)
+
+
+AXES = "frame,x,y,z,a,b,c," + ",".join(f"turn_{i}{j}" for i in "123" for j in "123") + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("frame,x,y,z,radius\n0,1,2,3,1\n0,1,2,3,-1\n", "radius: expected positive"),
+        ("frame,x,y,z,d\n0,1,2,3,0\n", "in row 1"),
+        ("frame,x,y,z,radius\n0,1,2,3,nan\n", "line 2, column 5"),
+        ("frame,x,y,z,radius\n0,1,5,2,0,3,0,0,5\n", "decimal commas"),
+        ("frame,x,y,z,x,radius\n0,1,2,3,4,1\n", "different names"),
+        (AXES + "0,1,2,3,1,1,1,1,0,0,0,1,0,0,0,1\n0,1,2,3,1,1,1,1,0,0,0,1,0,0,1,1\n", "row 2"),
+    ],
+)
+def test_broken_bubbles(text: str, key: str, tmp_path: Path) -> None:
+    (tmp_path / "found.csv").write_text(text, encoding="utf-8")
+    with refused("found.csv", key):
+        read_tracks(tmp_path / "found.csv", "csv", bubbles=True)
+
+
 BROKEN = [
+    ("npy", "x,y,z\n1,2,3\n", ".npy"),
     ("csv", "0,1,2,3,4\n", ""),
     ("csv", HEAD + "0,1,2,3\n", ""),
     ("csv", HEAD + "0,1,2,3,4\n0,1,2,3\n", "line 3"),
@@ -197,7 +299,7 @@ def test_openptvs_counts_are_checked(tmp_path: Path) -> None:
 def test_units_scale_positions(tmp_path: Path) -> None:
     for form in FORMATS:
         write(tmp_path / form, particles(), form)
-        if form not in ("netcdf", "mat", "csv"):  # these name their unit
+        if form not in ("netcdf", "mat", "npy", "csv"):  # these name their unit
             found = read(tmp_path / form, form, "um")
             np.testing.assert_allclose(1e3 * found.position_mm, particles().position_mm)
     with refused("unit"):
