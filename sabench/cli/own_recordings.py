@@ -185,7 +185,7 @@ def preprocess(
     if as_json:
         say_json([_record(stage, false_alarms) for stage in shown.stages])
     else:
-        say(repr(shown))
+        say(f"{shown!r}\nfalse alarms: {false_alarms:g} per pixel at most")
         if output is not None:
             say(f"{output}: pictures after each step; circles mark peaks")
 

@@ -73,13 +73,12 @@ class Preview(Card):
     stages: tuple[PreviewStage, ...]
 
     def _rows(self) -> Iterator[tuple[str, ...]]:
-        yield (self.title,)
+        yield (f"{self.title}; medians over the pixels",)
         yield "after", "black", "noise", "threshold", "peaks", "false at most"
         for one in self.stages:
             figures = (one.black_dn, 1), (one.noise_dn, 2), (one.threshold_dn, 1)
             grey = (format_number(value, decimals) for value, decimals in figures)
             yield one.name, *grey, str(len(one.peaks)), format_number(one.expected_false, 1)
-        yield ("black, noise and threshold: medians over the pixels",)
 
     def _picture(self) -> bytes:
         return draw(preview_figure(self))

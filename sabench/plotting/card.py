@@ -54,5 +54,5 @@ class Card:
         with contextlib.suppress(Exception):
             data = base64.b64encode(self._picture()).decode()
             picture = f'<img alt="{escape(rows[0][0])}" src="data:image/png;base64,{data}">'
-        style = "display: flex; flex-wrap: wrap; gap: 1em"
+        style = "display: flex; flex-wrap: wrap; gap: 1em; align-items: start"
         return f'<div style="{style}"><table>{table}</table>{picture}</div>'

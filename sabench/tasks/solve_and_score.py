@@ -206,13 +206,13 @@ def score(dataset: Dataset | str | Path, result: str | Path, task: str | None = 
 
     The words `truth` and `empty` mean the best and the worst possible estimates.
 
+    Raises InputError for a data set without truth, or a file that is not a result of this data set,
+    or has a wrong shape or values that are not finite.
+
     Parameters
     ----------
     task : task for scoring `truth` or `empty`, where a data set serves several. None: the first
         task for the kind of objects that the data set shows last. A result file has its own.
-
-    Raises InputError for a data set without truth, or a file that is not a result of this data set,
-    or has a wrong shape or values that are not finite.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     _ = data.manifest  # raises where there is no truth
