@@ -161,9 +161,8 @@ class Arrays(Card):
     def _rows(self) -> Iterator[tuple[str, ...]]:
         yield (type(self).__name__,)
         for array, value in self.arrays():
-            shape = " x ".join(map(str, value.shape))
             ends = f"{value.min():.4g} to {value.max():.4g}" if value.size else ""
-            yield array.name, shape, str(value.dtype), ends
+            yield array.name, " x ".join(map(str, value.shape)), str(value.dtype), ends
 
     def _picture(self) -> bytes:
         """Draw positions, or balls, as seen along Z."""

@@ -93,9 +93,10 @@ class Quality(Card):
         for key, one in shown.items():
             yield key, format_number(self.figures[key], one.decimals), one.meaning
         yield ("cameras",)
-        yield "camera", *shown
+        keys = [key for key in shown if any(key in one for one in self.cameras.values())]
+        yield "camera", *keys
         for name, camera in self.cameras.items():
-            yield name, *(format_number(camera.get(key), shown[key].decimals) for key in shown)
+            yield name, *(format_number(camera.get(key), shown[key].decimals) for key in keys)
         yield from ((f"note: {note}",) for note in self.notes)
 
 
