@@ -12,6 +12,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(ROOT)]
 import access  # noqa: E402
 import docstrings  # noqa: E402
 import navigation  # noqa: E402
+import notebooks  # noqa: E402
 import tables  # noqa: E402
 
 import sabench  # noqa: E402
@@ -51,6 +52,7 @@ def setup(app: Sphinx) -> None:
     app.connect("source-read", tables.add_tables)
     app.connect("source-read", navigation.add_toctrees)
     app.connect("source-read", page.add_results)
+    app.connect("source-read", notebooks.add_outputs)
     app.connect("autodoc-process-docstring", docstrings.describe_names, priority=100)
     app.connect("autodoc-skip-member", docstrings.skip_aliases)
     app.connect("build-finished", access.complete_all)

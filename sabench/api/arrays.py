@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from sabench.plotting.card import Card
 from sabench.utils.arrays import I64, LARGEST, Bool
 from sabench.utils.errors import InputError
 
@@ -104,7 +105,7 @@ class Array:
                 )
 
 
-class Arrays:
+class Arrays(Card):
     """Base of classes with declared arrays.
 
     Attributes
@@ -156,3 +157,16 @@ class Arrays:
                 raise InputError(f"{array.name}: expected {kind} of shape {shape}, got {got}")
             array.check_values(value, array.name)
             array.learn(value.shape, sizes)
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield (type(self).__name__,)
+        for array, value in self.arrays():
+            ends = f"{value.min():.4g} to {value.max():.4g}" if value.size else ""
+            yield array.name, " x ".join(map(str, value.shape)), str(value.dtype), ends
+
+    def _picture(self) -> bytes:
+        """Draw positions, or balls, as seen along Z."""
+        from sabench.plotting.drawing import draw_balls
+
+        names = {array.name for array in self.ARRAYS} & {"position_mm", "center_mm"}
+        return draw_balls(getattr(self, names.pop()), getattr(self, "radius_mm", None))

@@ -18,7 +18,7 @@ class Estimate(Arrays):
     """Base of estimates."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reconstruction(Estimate):
     """Reconstructed intensities of one frame.
 
@@ -37,8 +37,14 @@ class Reconstruction(Estimate):
     volume: F32
     particles_mm: F64 | None = None
 
+    def _picture(self) -> bytes:
+        """Draw the largest intensity along Z."""
+        from sabench.plotting.pictures import slice_picture
 
-@dataclass(frozen=True)
+        return slice_picture(self.volume.max(axis=0, keepdims=True), (slice(None),) * 3)
+
+
+@dataclass(frozen=True, repr=False)
 class FoundParticles(Estimate):
     """Particles found in one frame.
 
@@ -108,7 +114,7 @@ def _check_covariances(name: str, value: F64) -> None:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration(Estimate):
     """Estimated cameras.
 
@@ -135,7 +141,7 @@ class Calibration(Estimate):
     remarks: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Velocity(Estimate):
     """Velocity field on a lattice along the world's axes, or in a plane.
 
@@ -212,8 +218,19 @@ class Velocity(Estimate):
         steps = np.moveaxis(np.indices(self.valid.shape)[::-1], 0, -1) * np.asarray(self.step_mm)
         return np.asarray(np.asarray(self.low_mm) + steps @ self.axes)
 
+    def _picture(self) -> bytes:
+        """Draw speeds and vectors in the lattice's middle plane."""
+        from sabench.plotting.drawing import Slice, draw_panel
 
-@dataclass(frozen=True)
+        own = self.in_own_axes()
+        plane = own.velocity_mm_s[len(self.valid) // 2]
+        ends = zip(own.low_mm, own.step_mm, plane.shape[1::-1], strict=False)
+        x, y = (low + step * np.arange(count) for low, step, count in ends)
+        speeds = Slice("mm/s", x, y, np.linalg.norm(plane, axis=-1), arrows=plane[..., :2])
+        return draw_panel("x, mm", "y, mm", speeds)
+
+
+@dataclass(frozen=True, repr=False)
 class Detections(Estimate):
     """Bubbles found in one frame.
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from sabench.api.truth import Target
 from sabench.geometry.camera import Camera
-from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.camera_model import CameraModel, describe_cameras
 from sabench.geometry.grid import Grid
 from sabench.images.flaws import Flaws, Repaired
+from sabench.plotting.card import Card
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.validation import Unknown
@@ -24,8 +25,8 @@ from sabench.utils.validation import Unknown
 Shown = Literal["particles", "target", "bubbles", "code"]  # kinds of objects in a data set's frames
 
 
-@dataclass(frozen=True)
-class Observation:
+@dataclass(frozen=True, repr=False)
+class Observation(Card):
     """One frame as an experimenter has it.
 
     Attributes
@@ -102,6 +103,18 @@ class Observation:
         if self.flaws is not None:
             return Repaired(self.images, self.flaws)
         return repair(self.images, self.black_dn, self.white_dn)
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield (type(self).__name__,)
+        yield "cameras", describe_cameras(self.cameras)
+        yield "grey values", f"black {self.black_dn:g}, white {self.white_dn:g}"
+        yield "grid", str(self.grid)
+
+    def _picture(self) -> bytes:
+        """Draw the first camera's image."""
+        from sabench.plotting.pictures import thumbnail
+
+        return thumbnail(self.images[0], self.black_dn, self.white_dn)
 
 
 def _oddities(values: Any) -> str:

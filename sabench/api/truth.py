@@ -35,7 +35,7 @@ def _only(values: F64) -> float:
     return float(values[0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Particles(Truth):
     """Particles at one instant, world frame.
 
@@ -68,7 +68,7 @@ class Particles(Truth):
         return len(self.id)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Bubbles(Truth):
     """Bubbles or droplets at one instant, world frame.
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from sabench.tasks.task import Score
 
 _SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-_BETTER = {"larger": "the larger, the better", "smaller": "the smaller, the better"}
-_BETTER |= {"unity": "best at 1", "steady": "neither large nor small is better"}
 
 
 def info(
@@ -176,8 +174,8 @@ def _score(name: str) -> None:
 
 def _range(score: Score) -> str:
     """Say in which direction a score is better, and between which values it lies."""
-    from sabench.tasks.task import ANY, ERROR
+    from sabench.tasks.task import ANY, BETTER, ERROR
 
     low, high = score.range
     ends = "" if score.range in (ANY, ERROR) else f", from {low:g} to {high:g}"
-    return f"{_BETTER[score.better]}{ends}" + (f", in {score.unit}" if score.unit else "")
+    return f"{BETTER[score.better]}{ends}" + (f", in {score.unit}" if score.unit else "")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from sabench.cli import options, tables
+from sabench.cli import options
 from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 from sabench.utils.errors import MOST, InputError
 
@@ -268,31 +268,7 @@ def import_recording(
     if as_json:
         say_json(_import_record(data))
     else:
-        _show_import(data, output)
-
-
-def _show_import(data: ImportedRecording, out: Path) -> None:
-    rows = [
-        (
-            name,
-            f"{level.black_dn:.1f}",
-            f"{level.white_dn:g}",
-            f"{level.bit_depth}",
-            f"{100.0 * level.saturated:.3f}",
-        )
-        for name, level in data.levels.items()
-    ]
-    tables.show(("camera", "black", "white", "bits", "saturated %"), rows)
-    grid = data.grid
-    x, y, z = (
-        f"{low - step / 2:.4g} to {low + step * (count - 0.5):.4g}"
-        for low, step, count in zip(grid.low_mm, grid.voxel_mm, grid.shape[::-1], strict=True)
-    )
-    voxels = " x ".join(f"{edge:.4g}" for edge in grid.voxel_mm)
-    say(f"volume: x {x}, y {y}, z {z} mm; voxels of {voxels} mm")
-    for note in data.notes:
-        say(f"note: {note}")
-    say(f"{out}: {data.frames} frame(s) of {len(data.levels)} camera(s), recorded, without truth")
+        say(f"{output}: {data!r}")
 
 
 def _import_record(data: ImportedRecording) -> dict[str, object]:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 from sabench import plugins
 from sabench.cli import options, tables
 from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
+from sabench.utils.number_text import format_number
 
 if TYPE_CHECKING:
-    from sabench.apps.own_calibration.report import CalibrationReport
     from sabench.apps.recordings import Measured
-    from sabench.dataset.preprocessing_preview import Preview, PreviewStage
+    from sabench.dataset.preprocessing_preview import PreviewStage
 
 
 def calibrate(
@@ -60,60 +60,8 @@ def calibrate(
     if as_json:
         say_json(asdict(report))
     else:
-        _show_calibration(report, out)
-
-
-def _show_unknowns(report: CalibrationReport) -> None:
-    lines = []
-    for row in report.compared:
-        name = f"+ {' and '.join(row.added)}" if row.added else "focal lengths"
-        measured = row.held_out_px, row.change_px, row.sigma_px
-        figures = [tables.format_number(value, 4) for value in measured]
-        lines.append([name, *figures, row.remark or ("yes" if row.chosen else "no")])
-    tables.show(["unknowns", "held-out px", "change", "standard error", "keep"], lines)
-    quoted = ", ".join(f'"{name}"' for name in report.unknown)
-    say(f"recommended and used: unknown = [{quoted}]")
-
-
-def _show_calibration(report: CalibrationReport, out: Path) -> None:
-    for sentence in report.summary:
-        say(sentence)
-    if report.compared:
-        _show_unknowns(report)
-    rows = []
-    for line in (*report.cameras, *report.frames):
-        name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"
-        errors = [tables.format_number(line[key], 3) for key in ("mean_px", "largest_px")]
-        rows.append([name, str(line["found"]), str(line["used"]), *errors])
-    tables.show(["camera or frame", "found", "used", "mean px", "largest px"], rows)
-    say(f"residuals: {report.noise_px:.4f} px, of which neighbours share {report.misfit_px:.4f} px")
-    if report.true_px is not None:
-        say(f"expected true error, misfit included: {report.true_px:.4f} px")
-    if held := report.held_out:
-        figures = [
-            (f"reprojection {held.reprojection_px:.4f} px", held.reprojection_px),
-            (f"off a rigid target {held.rigidity_mm or 0.0:.4f} mm", held.rigidity_mm),
-            (f"off known places {held.known_mm or 0.0:.4f} mm", held.known_mm),
-        ]
-        what = "frames" if held.frames <= len(report.frames) else "points"
-        lost = f" ({held.failed} fits failed)" if held.failed else ""
-        good = ", ".join(text for text, measured in figures if measured)
-        say(f"{held.frames} {what} held out{lost}: {good}")
-    where = "along the wall's X and Y and its normal"
-    for label, std in (("misfit included", report.std_mm), ("noise alone", report.noise_std_mm)):
-        if std is not None:
-            x, y, z = std
-            say(f"expected scatter of points {where}, {label}: {x:.4f}, {y:.4f}, {z:.4f} mm")
-    if report.depth_mm is not None:
-        say(f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm")
-    walls = []
-    for unknown in report.wall:
-        stated = unknown.nominal, unknown.found, unknown.std
-        values = [tables.format_number(figure, 4) for figure in stated]
-        walls.append([unknown.name, unknown.unit or "-", *values, "yes" if unknown.shown else "no"])
-    if walls:
-        tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], walls)
-    say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
+        say(repr(report))
+        say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
 
 
 ROWS = (
@@ -180,7 +128,7 @@ def compare_statistics(
 
 def cell(value: float | None, factor: float, decimals: int) -> str:
     """Format a figure of the table, a missing one as a dash."""
-    return tables.format_number(None if value is None else factor * value, decimals)
+    return format_number(None if value is None else factor * value, decimals)
 
 
 def _describe(measured: Measured) -> str:
@@ -210,8 +158,7 @@ def preprocess(
     overwrite: Overwrite = False,
 ) -> None:
     """Preview the steps of preprocessing on one image, with the peaks in it."""
-    from sabench.dataset.preprocessing_preview import preview, preview_figure
-    from sabench.plotting.drawing import draw
+    from sabench.dataset.preprocessing_preview import preview
     from sabench.utils.files import complete_or_nothing, refuse_existing
 
     if output is not None:
@@ -225,11 +172,13 @@ def preprocess(
     )
     if output is not None:
         with complete_or_nothing(output, overwrite=overwrite) as file:
-            file.write_bytes(draw(preview_figure(shown)))
+            file.write_bytes(shown._picture())
     if as_json:
         say_json([_record(stage, false_alarms) for stage in shown.stages])
     else:
-        _show(shown, false_alarms, output)
+        say(f"{shown!r}\nfalse alarms: {false_alarms:g} per pixel at most")
+        if output is not None:
+            say(f"{output}: pictures after each step; circles mark peaks")
 
 
 def _record(stage: PreviewStage, false_alarms: float) -> dict[str, object]:
@@ -244,24 +193,3 @@ def _record(stage: PreviewStage, false_alarms: float) -> dict[str, object]:
         "peaks": len(stage.peaks),
         "false_peaks_at_most": stage.expected_false,
     }
-
-
-def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
-    say(shown.title)
-    tables.show(
-        ("after", "black", "noise", "threshold", "peaks", "false at most"),
-        [
-            (
-                *(stage.name, f"{stage.black_dn:.1f}", f"{stage.noise_dn:.2f}"),
-                *(f"{stage.threshold_dn:.1f}", f"{len(stage.peaks)}"),
-                f"{stage.expected_false:.1f}",
-            )
-            for stage in shown.stages
-        ],
-    )
-    say(
-        f"black, noise and threshold: medians over the pixels; false alarms: {false_alarms:g} per "
-        "pixel at most"
-    )
-    if output is not None:
-        say(f"{output}: pictures after each step; circles mark peaks")

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from sabench.cli import options, tables
+from sabench.cli import options
 from sabench.cli.options import AsJson, Overwrite, argument, option, output_option, say, say_json
 
 if TYPE_CHECKING:
     from sabench.algorithms.refocus import Join
-    from sabench.tasks.quality import Quality
 
 
 def solve(
@@ -80,12 +79,7 @@ def score(
     if as_json:
         say_json(scores)
     else:
-        from sabench import tasks
-
-        columns = tasks.of(scores["task"]).columns
-        figures = [tables.format_number(scores[column.key], column.decimals) for column in columns]
-        headings = ["data set", "solver", *(column.key for column in columns)]
-        tables.show(headings, [[scores["dataset"][:12], scores["solver"], *figures]])
+        say(repr(scores))
 
 
 def conform(
@@ -195,26 +189,7 @@ def quality(
         record = {"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes}
         say_json(record)
     else:
-        _show(judged)
-
-
-def _show(judged: Quality) -> None:
-    from sabench.tasks.quality import FIGURES
-
-    shown = {key: score for key, score in FIGURES.items() if judged.figures[key] is not None}
-    rows = [
-        (key, tables.format_number(judged.figures[key], score.decimals), score.meaning)
-        for key, score in shown.items()
-    ]
-    tables.show(("figure", "value", "meaning"), rows)
-    of_cameras = [key for key in shown if any(key in camera for camera in judged.cameras.values())]
-    lines = [
-        (name, *(tables.format_number(camera.get(key), shown[key].decimals) for key in of_cameras))
-        for name, camera in judged.cameras.items()
-    ]
-    tables.show(("camera", *of_cameras), lines)
-    for note in judged.notes:
-        say(f"note: {note}")
+        say(repr(judged))
 
 
 def view(

@@ -64,11 +64,6 @@ def _print(headings: Sequence[str], rows: _Rows, *, wrap: bool = False) -> None:
     Console(width=width()).print(table)
 
 
-def format_number(value: float | None, decimals: int) -> str:
-    """Format a number with so many decimals, a missing one as a dash."""
-    return "-" if value is None else f"{value:.{decimals}f}"
-
-
 def shorten(text: str, columns: int) -> str:
     """Cut a text that is longer than so many columns, with an ellipsis at its end."""
     return text if len(text) <= columns else f"{text[: max(columns - 1, 0)].rstrip()}…"

@@ -177,6 +177,7 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
     if isinstance(keys, dict) and "grid" in keys:
         setup = read_cameras(path.parent)
         return setup.cameras, setup.grid
+    check_largest(keys, str(path))
     loaded = schema.read_versioned(CalibratedFile, path)
     walls = _walls(loaded.wall, len(loaded.cameras))
     _check_names(loaded.cameras, path)

@@ -19,6 +19,7 @@ from sabench.images.image_files import Files, find_image_files
 from sabench.images.image_reading import RawLayout, read_images
 from sabench.images.levels import GreyLevels, GreyValues
 from sabench.images.preprocessing import Step, step_faults
+from sabench.plotting.card import Card
 from sabench.utils.arrays import U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
@@ -185,8 +186,8 @@ class ImportOptions:
     referenced: bool = False
 
 
-@dataclass(frozen=True)
-class ImportedRecording:
+@dataclass(frozen=True, repr=False)
+class ImportedRecording(Card):
     """Levels and grid of an imported recording, and notes for the user.
 
     Attributes
@@ -201,6 +202,17 @@ class ImportedRecording:
     grid: Grid
     levels: dict[str, GreyLevels]
     notes: tuple[str, ...]
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield (f"{self.frames} frame(s) of {len(self.levels)} camera(s), recorded, without truth",)
+        yield "camera", "black", "white", "bits", "saturated %"
+        for name, one in self.levels.items():
+            numbers = f"{one.black_dn:.1f}", f"{one.white_dn:g}", str(one.bit_depth)
+            yield name, *numbers, f"{100.0 * one.saturated:.3f}"
+        ends = zip("xyz", *self.grid.box_mm, strict=True)
+        box = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in ends)
+        yield (f"volume: {box} mm; {self.grid}",)
+        yield from ((f"note: {note}",) for note in self.notes)
 
 
 def import_recording(

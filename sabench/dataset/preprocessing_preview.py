@@ -1,7 +1,7 @@
 """Preview of preprocessing: one image after each step, and its peaks."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,10 +14,12 @@ from sabench.images.image_reading import image_size, read_page
 from sabench.images.levels import GreyValues
 from sabench.images.peaks import find_above
 from sabench.images.preprocessing import MatchHistograms, Step, preprocess, step_faults
-from sabench.plotting.drawing import Figure, Panel, Picture
+from sabench.plotting.card import Card
+from sabench.plotting.drawing import Figure, Panel, Picture, draw
 from sabench.plotting.pictures import GAMMA
 from sabench.utils.arrays import F64, U16, Bool
 from sabench.utils.errors import InputError
+from sabench.utils.number_text import format_number
 
 _WINDOW_PX = 96  # edge of the part that is also shown enlarged
 _INCH = 4.5  # width of a picture
@@ -56,8 +58,8 @@ class PreviewStage:
         return float(np.median(self.dark.noise))
 
 
-@dataclass(frozen=True)
-class Preview:
+@dataclass(frozen=True, repr=False)
+class Preview(Card):
     """Image of a camera after each step of preprocessing.
 
     Attributes
@@ -69,6 +71,17 @@ class Preview:
 
     title: str
     stages: tuple[PreviewStage, ...]
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield (f"{self.title}; medians over the pixels",)
+        yield "after", "black", "noise", "threshold", "peaks", "false at most"
+        for one in self.stages:
+            figures = (one.black_dn, 1), (one.noise_dn, 2), (one.threshold_dn, 1)
+            grey = (format_number(value, decimals) for value, decimals in figures)
+            yield one.name, *grey, str(len(one.peaks)), format_number(one.expected_false, 1)
+
+    def _picture(self) -> bytes:
+        return draw(preview_figure(self))
 
 
 def preview(

@@ -18,11 +18,12 @@ from sabench.dataset.hdf5 import names_in, open_hdf5, read_array
 from sabench.dataset.recorded import ReferencesFile, read_references
 from sabench.dataset.schema import Contents, Manifest, RecordedManifest
 from sabench.geometry.camera import Camera
-from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.camera_model import CameraModel, describe_cameras
 from sabench.geometry.grid import Grid
 from sabench.images.flaws import Flaws
 from sabench.images.preprocessing import WHITE, Step, preprocess, takes_all_frames
 from sabench.images.tiff_exr import read_exr, read_tiff
+from sabench.plotting.card import Card
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
@@ -133,26 +134,28 @@ class StoredFrames(Protocol):
         return lowest
 
 
-@dataclass(frozen=True)
-class Dataset(StoredFrames):
+@dataclass(frozen=True, repr=False)
+class Dataset(Card, StoredFrames):
     """Data set folder; a frame is read when it is requested."""
 
     root: Path
     contents: Contents
 
-    def __repr__(self) -> str:
-        """Say in five lines what is in it."""
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield (f"Dataset {self.root}",)
         setup, truth = self.setup, "with" if self.has_truth else "without"
         even = setup.frames > 1 and setup.times_s is None
-        apart = f", {setup.interval_s:g} s apart" if even else ""
-        sizes = sorted({f"{one.columns} x {one.rows}" for one in setup.cameras})
-        return (
-            f"Dataset {self.root}\n"
-            f"  frames: {setup.frames}{apart}\n"
-            f"  cameras: {len(setup.cameras)} of {' and '.join(sizes)} px\n"
-            f"  shows: {', '.join(setup.shows)}, {truth} truth\n"
-            f"  hash: {self.content_hash[:12]}"
-        )
+        yield "frames", f"{setup.frames}{f', {setup.interval_s:g} s apart' if even else ''}"
+        yield "cameras", describe_cameras(setup.cameras)
+        yield "shows", f"{', '.join(setup.shows)}, {truth} truth"
+        yield "hash", self.content_hash[:12]
+
+    def _picture(self) -> bytes:
+        """Draw the first camera's first image."""
+        from sabench.plotting.pictures import thumbnail
+
+        sensor, dark = self.setup.sensor, not {"bubbles", "code"}.isdisjoint(self.setup.shows)
+        return thumbnail(self.raw_image(0, 0), sensor.black_dn, sensor.white_dn, dark=dark)
 
     @property
     def content_hash(self) -> str:

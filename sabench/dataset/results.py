@@ -12,6 +12,7 @@ from typing import Any, TypeVar, get_args
 import h5py
 import numpy as np
 
+from sabench.api import estimates
 from sabench.api.estimates import Calibration, Estimate
 from sabench.api.solvers import TaskName
 from sabench.dataset import hdf5
@@ -20,6 +21,7 @@ from sabench.dataset.reader import Dataset
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import decode_cameras
 from sabench.geometry.grid import Grid
+from sabench.plotting.card import Card
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
 from sabench.utils.validation import printable
@@ -38,8 +40,8 @@ MOST_ITERATIONS = 100  # of which a file may have estimates
 AnEstimate = TypeVar("AnEstimate", bound=Estimate)
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(Card):
     """Result file: its data set, its solver and the costs.
 
     A cost that the file does not give is None. `seconds` excludes `compile_s`, the time for
@@ -66,6 +68,20 @@ class Result:
     def costs(self) -> dict[str, float | None]:
         """Costs and flags by their names in the file."""
         return {name: getattr(self, name) for name in (*_COSTS, *_FLAGS)}
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield (f"Result {self.path}",)
+        yield "task", self.task
+        yield "solver", self.solver
+        memory = f", at most {self.peak_mb:.0f} MB" if self.peak_mb else ""
+        yield "time", f"{self.seconds:.3g} s per frame{memory}" if self.seconds else "unknown"
+        yield "grid", str(self.grid)
+
+    def _picture(self) -> bytes:
+        """Draw the first frame's estimate."""
+        kinds: dict[str, type[Estimate]] = {"particles": estimates.FoundParticles}
+        kinds |= {"velocimetry": estimates.Velocity, "bubbles": estimates.Detections}
+        return self.read(kinds.get(self.task, estimates.Reconstruction))._picture()
 
     def read(self, kind: type[AnEstimate], frame: int = 0) -> AnEstimate:
         """Read an estimate, by the arrays that its class declares.

@@ -107,6 +107,12 @@ class WalledPinhole(SensorCamera):
         )
 
 
+def describe_cameras(cameras: Sequence[CameraModel]) -> str:
+    """Say how many cameras there are, and how large their images are."""
+    sizes = sorted({f"{one.columns} x {one.rows}" for one in cameras})
+    return f"{len(cameras)} of {' and '.join(sizes)} px"
+
+
 def any_in_view(cameras: Sequence[CameraModel], points_mm: F64) -> bool:
     """Check whether any of the points (n, 3) lies on any camera's image."""
     views = ((camera, *camera.project(points_mm)) for camera in cameras)

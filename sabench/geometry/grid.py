@@ -35,6 +35,10 @@ class Grid:
     shape: tuple[int, int, int]
     crop: tuple[int, int, int] = (0, 0, 0)
 
+    def __str__(self) -> str:
+        edges = " x ".join(f"{edge:.4g}" for edge in self.voxel_mm)
+        return f"{' x '.join(map(str, self.shape[::-1]))} voxels of {edges} mm"
+
     @property
     def axes_mm(self) -> tuple[F64, F64, F64]:
         """Voxel centres along x, y and z."""

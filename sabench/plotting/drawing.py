@@ -169,6 +169,21 @@ def draw(figure: Figure) -> bytes:
     return out.getvalue()
 
 
+def draw_panel(x: str, y: str, *content: Content) -> bytes:
+    """Draw one panel without a title as a PNG."""
+    return draw(Figure("", "", (Panel("", x, y, content),)))
+
+
+def draw_balls(
+    center_mm: npt.NDArray[np.float64], radius_mm: npt.NDArray[np.float64] | None = None
+) -> bytes:
+    """Draw balls or, without radii (n,), points (n, 3) as seen along Z, as a PNG."""
+    x, y, _ = center_mm.T
+    dot = 0.003 * float(np.ptp(center_mm[:, :2]))
+    radius = np.full(len(x), dot) if radius_mm is None else radius_mm
+    return draw_panel("X, mm", "Y, mm", Circles("", x, y, radius))
+
+
 def _fill(axes: Any, panel: Panel) -> None:
     axes.set_title(panel.title, fontsize=9)
     axes.set_xlabel(panel.x, fontsize=8)

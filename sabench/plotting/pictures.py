@@ -58,6 +58,14 @@ def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
     return _png(_mosaic(grey_levels(light, white_dn - black_dn, 1.0), across))
 
 
+def thumbnail(image: U16, black_dn: float, white_dn: float, *, dark: bool = False) -> bytes:
+    """Draw one image (row, column), of dark objects or bright ones, as a small PNG."""
+    step = math.ceil(image.shape[1] / ENLARGED_PX)
+    if dark:
+        return backlit(image[None, ::step, ::step], black_dn, white_dn)
+    return montage(join_blocks(image[None], step), black_dn, white_dn)
+
+
 def _shrink(what: str, images: U16) -> tuple[U16, int]:
     """Join blocks until a mosaic fits; also gives the number of images in its rows."""
     if images.ndim != 3 or not images.size:

@@ -5,20 +5,21 @@ Checks raise an InputError of one sentence that begins with the scene's key.
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import overload
 
 import numpy as np
 
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.camera_model import any_in_view
+from sabench.geometry.camera_model import any_in_view, describe_cameras
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
 from sabench.geometry.rigid_motion import Domain
+from sabench.plotting.card import Card
 from sabench.scenes.cameras import ListLayout, Place, offsets_of
 from sabench.scenes.focusing import focus, tilt_sensor
 from sabench.scenes.illumination import Backlight
@@ -225,8 +226,8 @@ def check_backlight(
 _MOST_CAMERAS = 1000
 
 
-@dataclass(frozen=True)
-class Rig:
+@dataclass(frozen=True, repr=False)
+class Rig(Card):
     """The optics of a scene.
 
     Attributes
@@ -239,6 +240,22 @@ class Rig:
     cameras: tuple[Camera, ...]
     grid: Grid
     occluders: tuple[Disc, ...]
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield ("Rig",)
+        yield "cameras", describe_cameras(self.cameras)
+        yield "walls", str(len({camera.wall for camera in self.cameras} - {None}))
+        yield "grid", str(self.grid)
+
+    def _picture(self) -> bytes:
+        """Draw the cameras and the volume's outline as seen along Y."""
+        from sabench.plotting.drawing import Circles, Curve, draw_panel
+
+        (left, _, near), (right, _, far) = self.grid.box_mm
+        x, _, z = np.array([camera.center_mm for camera in self.cameras]).T
+        cameras = Circles("cameras", x, z, np.full_like(x, 0.02 * float(np.ptp([x, z]))))
+        volume = Curve("volume", [left, right, right, left, left], [near, near, far, far, near])
+        return draw_panel("X, mm", "Z, mm", cameras, volume)
 
     def occluders_of(self, camera: Camera) -> tuple[Disc, ...]:
         """Give the occluders on a camera's side of the tank.

@@ -10,6 +10,7 @@ from sabench.api import Observation
 from sabench.api.truth import Particles, ParticleView
 from sabench.dataset.reader import build_observation
 from sabench.images.preprocessing import takes_all_frames
+from sabench.plotting.card import Card
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.camera_view import record_image, render_camera_view
@@ -20,13 +21,20 @@ from sabench.utils.errors import InputError
 from sabench.worlds.tracers import Motion
 
 
-@dataclass(frozen=True)
-class Shot:
+@dataclass(frozen=True, repr=False)
+class Shot(Card):
     """One frame in memory: an observation and the truth that scores it."""
 
     observation: Observation
     particles: Particles
     views: list[ParticleView]
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        _, *rows = self.observation._rows()
+        yield from [("Shot",), *rows, ("truth", f"{len(self.particles)} particles")]
+
+    def _picture(self) -> bytes:
+        return self.observation._picture()
 
 
 def simulate(

@@ -21,6 +21,7 @@ from sabench.dataset.results import Result, open_result
 from sabench.metrics.averages import finite_or_none, mean_of_finite, root_mean_square
 from sabench.metrics.trajectories import jitter_mm, share_followed
 from sabench.plotting import pictures
+from sabench.plotting.card import Card
 from sabench.tasks.image_evidence import (
     FrameEvidence,
     scramble_shift,
@@ -34,6 +35,7 @@ from sabench.tasks.task import ANY, Figures, Score, share
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing
+from sabench.utils.number_text import format_number
 from sabench.utils.progress import progress_bar
 
 # fmt: off
@@ -67,8 +69,8 @@ FIGURES_OF: dict[str, tuple[Score, ...]] = {
 _FOLLOWED = 3  # frames
 
 
-@dataclass(frozen=True)
-class Quality:
+@dataclass(frozen=True, repr=False)
+class Quality(Card):
     """Figures of a result that need no truth.
 
     Attributes
@@ -84,6 +86,18 @@ class Quality:
     cameras: dict[str, Figures]
     left: F64 | None
     notes: tuple[str, ...]
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield ("Quality without truth",)
+        shown = {key: one for key, one in FIGURES.items() if self.figures[key] is not None}
+        for key, one in shown.items():
+            yield key, format_number(self.figures[key], one.decimals), one.meaning
+        yield ("cameras",)
+        keys = [key for key in shown if any(key in one for one in self.cameras.values())]
+        yield "camera", *keys
+        for name, camera in self.cameras.items():
+            yield name, *(format_number(camera.get(key), shown[key].decimals) for key in keys)
+        yield from ((f"note: {note}",) for note in self.notes)
 
 
 def quality(

@@ -7,6 +7,7 @@ import functools
 import os
 import shutil
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -17,11 +18,14 @@ from sabench import plugins, tasks
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, add_identity, open_result, result_writer
+from sabench.plotting.card import Card
 from sabench.tasks import external_programs
+from sabench.tasks.task import BETTER
 from sabench.tasks.visible_files import open_sandbox, view_of_import, view_of_plugin
 from sabench.utils import backend, memory
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, refuse_existing
+from sabench.utils.number_text import format_number
 from sabench.utils.processes.call import call_isolated, preload
 from sabench.utils.processes.confinement import can_confine
 from sabench.utils.processes.program import ProgramLimits
@@ -184,25 +188,31 @@ def _cpu_s() -> float:
     return sum(os.times()[:4])
 
 
-def score(
-    dataset: Dataset | str | Path, result: str | Path, task: str | None = None
-) -> dict[str, Any]:
+class Scores(Card, dict[str, Any]):
+    """Scores of a result by their keys, shown as a table with the main score first.
+
+    A flat dict: dataset, task, solver, parameters, the task's scores and costs (`costs_of`); None
+    where a score does not apply.
+    """
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield (f"{self['solver']}, {self['task']}, data set {self['dataset'][:12]}",)
+        for one in tasks.of(self["task"]).columns:
+            yield one.key, format_number(self[one.key], one.decimals), one.unit, BETTER[one.better]
+
+
+def score(dataset: Dataset | str | Path, result: str | Path, task: str | None = None) -> Scores:
     """Score a result file, or the best or worst possible estimates.
 
     The words `truth` and `empty` mean the best and the worst possible estimates.
+
+    Raises InputError for a data set without truth, or a file that is not a result of this data set,
+    or has a wrong shape or values that are not finite.
 
     Parameters
     ----------
     task : task for scoring `truth` or `empty`, where a data set serves several. None: the first
         task for the kind of objects that the data set shows last. A result file has its own.
-
-    Returns
-    -------
-    A flat dict: dataset, task, solver, parameters, the task's scores and costs (`costs_of`); None
-    where a score does not apply.
-
-    Raises InputError for a data set without truth, or a file that is not a result of this data set,
-    or has a wrong shape or values that are not finite.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     _ = data.manifest  # raises where there is no truth
@@ -215,14 +225,14 @@ def score(
     if opened:
         tasks.check_task(opened.task, data, opened.path)
     judged = tasks.of(opened.task) if opened else tasks.of_data(data, task)
-    return {
-        "dataset": data.content_hash,
-        "task": judged.name,
-        "solver": opened.solver if opened else word,
-        "parameters": opened.parameters if opened else {},
+    return Scores(
+        dataset=data.content_hash,
+        task=judged.name,
+        solver=opened.solver if opened else word,
+        parameters=opened.parameters if opened else {},
         **judged.score(data, opened or word or "empty"),
         **costs_of(opened),
-    }
+    )
 
 
 def score_iterations(dataset: Dataset, result: Path) -> list[list[float]] | None:

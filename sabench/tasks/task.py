@@ -25,6 +25,8 @@ from sabench.utils.arrays import F32, F64
 from sabench.utils.errors import InputError
 
 Better = Literal["larger", "smaller", "unity", "steady"]
+BETTER = {"larger": "the larger, the better", "smaller": "the smaller, the better"}
+BETTER |= {"unity": "best at 1", "steady": "neither large nor small is better"}
 Source = Result | Literal["truth", "empty"]
 Figures = dict[str, float | None]
 _TIMES = 100  # detections of a frame that are scored: per true one, and per one of as many more

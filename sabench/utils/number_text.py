@@ -13,6 +13,11 @@ def significant(value: float | str | None, digits: int = 4) -> str:
     return f"{value:,.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.{digits}g}"
 
 
+def format_number(value: float | None, decimals: int) -> str:
+    """Format a number with so many decimals, a missing one as a dash."""
+    return "-" if value is None else f"{value:.{decimals}f}"
+
+
 def round_down(value: float) -> float:
     """Round down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))

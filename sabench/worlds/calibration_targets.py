@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sabench.api import TargetGenerator
+from sabench.api.generators import TargetGenerator
 from sabench.api.make import generator_of
 from sabench.api.truth import Placed, Prior
 from sabench.geometry.camera import Camera

@@ -13,7 +13,11 @@ import pytest
 from tests.docs.pages import PAGES, ROOT, blocks, prose, read
 from tests.docs.runner import Page
 
-_RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(page))]
+_RUN = [  # `test_notebooks` runs the pages that are notebooks
+    page
+    for page in PAGES
+    if any(one.language != "text" for one in blocks(page)) and "notebooks/" not in page
+]
 _TASKS = ("tasks/calibration", "tasks/particles", "tasks/reconstruction", "start/tutorial")
 _FORMATS = ("formats/dataset", "formats/samples", "formats/foreign", "formats/result")
 _USING = ("calibrating", "challenges", "detection", "export", "own-recordings", "planning")

@@ -31,8 +31,10 @@ from sabench.apps.own_calibration.held_out import (
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import frame_of_normal
+from sabench.plotting.card import Card
 from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
+from sabench.utils.number_text import format_number
 
 # errors of what a data sheet, a ruler and a spirit level show, without any calibration
 _INDEX, _THICKNESS_MM, _TILT_DEG, _PLACE_MM = 0.01, 0.5, 0.5, 1.0
@@ -129,8 +131,8 @@ _LEAST_PX = 1e-3  # misfit that no data have reason to show
 _MISFIT = 0.5  # times the noise: residuals that neighbours share, above which a model is too simple
 
 
-@dataclass(frozen=True)
-class CalibrationReport:
+@dataclass(frozen=True, repr=False)
+class CalibrationReport(Card):
     """Quality of a calibration as far as its own data show it.
 
     Attributes
@@ -166,6 +168,53 @@ class CalibrationReport:
     held_out: HeldOut | None
     cameras: tuple[dict[str, Any], ...]
     frames: tuple[dict[str, Any], ...]
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield from ((sentence,) for sentence in self.summary)
+        if self.compared:
+            yield "unknowns", "held-out px", "change", "standard error", "keep"
+            for fit in self.compared:
+                name = f"+ {' and '.join(fit.added)}" if fit.added else "focal lengths"
+                figures = fit.held_out_px, fit.change_px, fit.sigma_px
+                kept = fit.remark or ("yes" if fit.chosen else "no")
+                yield name, *(format_number(value, 4) for value in figures), kept
+            quoted = ", ".join(f'"{name}"' for name in self.unknown)
+            yield (f"recommended and used: unknown = [{quoted}]",)
+        yield "camera or frame", "found", "used", "mean px", "largest px"
+        for line in (*self.cameras, *self.frames):
+            name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"
+            errors = (format_number(line[key], 3) for key in ("mean_px", "largest_px"))
+            yield name, str(line["found"]), str(line["used"]), *errors
+        yield from ((sentence,) for sentence in self._sentences())
+        if self.wall:
+            yield "unknown of the wall", "unit", "nominal", "found", "bound", "shown"
+        for one in self.wall:
+            values = (format_number(figure, 4) for figure in (one.nominal, one.found, one.std))
+            yield one.name, one.unit or "-", *values, "yes" if one.shown else "no"
+
+    def _sentences(self) -> Iterator[str]:
+        shared = f"of which neighbours share {self.misfit_px:.4f} px"
+        yield f"residuals: {self.noise_px:.4f} px, {shared}"
+        if self.true_px is not None:
+            yield f"expected true error, misfit included: {self.true_px:.4f} px"
+        if held := self.held_out:
+            figures = [
+                (f"reprojection {held.reprojection_px:.4f} px", held.reprojection_px),
+                (f"off a rigid target {held.rigidity_mm or 0.0:.4f} mm", held.rigidity_mm),
+                (f"off known places {held.known_mm or 0.0:.4f} mm", held.known_mm),
+            ]
+            what = "frames" if held.frames <= len(self.frames) else "points"
+            lost = f" ({held.failed} fits failed)" if held.failed else ""
+            good = ", ".join(text for text, measured in figures if measured)
+            yield f"{held.frames} {what} held out{lost}: {good}"
+        where = "along the wall's X and Y and its normal"
+        for label, std in (("misfit included", self.std_mm), ("noise alone", self.noise_std_mm)):
+            if std is not None:
+                x, y, z = std
+                yield f"expected scatter of points {where}, {label}: {x:.4f}, {y:.4f}, {z:.4f} mm"
+        if self.depth_mm is not None:
+            error = f"{self.depth_mm:.3g} mm"
+            yield f"expected error of the distance of all points from the wall: {error}"
 
 
 def report_on(

@@ -4,8 +4,8 @@ import numpy as np
 from markupsafe import Markup
 
 from sabench.apps.planning.plan import Plan
+from sabench.apps.viewer.outlines import OUTLINE_KINDS, STYLE
 from sabench.apps.viewer.surroundings import Surroundings, draw_surroundings
-from sabench.plotting.outlines import OUTLINE_KINDS, STYLE
 from sabench.plotting.page import render_page
 
 

@@ -6,7 +6,7 @@ buffer and times of pulses.
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,9 @@ import numpy as np
 from sabench.apps.planning import optics
 from sabench.apps.planning.expected_scores import plan_density, plan_scores
 from sabench.apps.planning.viewing import Advice, Quantity, Section, Viewing, compute_viewing
+from sabench.geometry.camera_model import describe_cameras
 from sabench.geometry.common_view import lattice_of
+from sabench.plotting.card import Card
 from sabench.scenes import Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.scenes.usual import unusual_values
@@ -162,8 +164,8 @@ def _advise(scene: Scene, recorder: RecordingSystem, per_bus: int) -> list[Advic
     return advice
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Card):
     """Figures and warnings of a scene.
 
     Attributes
@@ -181,6 +183,17 @@ class Plan:
         """Warnings of values that no rig has or, without any, of all sections."""
         unusual = tuple(Advice(key, sentence) for key, sentence in unusual_values(self.scene))
         return unusual or tuple(one for section in self.sections for one in section.advice)
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        yield (f"Plan of {self.scene.title}",)
+        yield "cameras", describe_cameras(self.rig.cameras)
+        for section in self.sections:
+            entry = section.quantities[0]
+            yield section.title, f"{entry.text} {entry.meaning} ({entry.key})"
+        yield "warnings", ", ".join(one.key for one in self.advice) or "none"
+
+    def _picture(self) -> bytes:
+        return self.rig._picture()
 
     def to_dict(self) -> dict[str, Any]:
         """Give all figures and warnings as JSON holds them."""

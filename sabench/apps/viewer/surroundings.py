@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
+from sabench.apps.viewer.outlines import Outline, draw_outlines
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import SIDE, border_pixels, light_paths
@@ -20,7 +21,6 @@ from sabench.geometry.cylinder_wall import CylinderWall, WallRecord
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import frame_of_normal
-from sabench.plotting.outlines import Outline, draw_outlines
 from sabench.scenes.illumination import Backlight, Illumination
 from sabench.utils.arrays import F64
 

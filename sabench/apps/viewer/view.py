@@ -13,6 +13,7 @@ from typing import Any
 from markupsafe import Markup
 
 from sabench.apps.viewer.contents import PageContents, of_cameras, of_dataset, of_scene
+from sabench.apps.viewer.outlines import STYLE
 from sabench.apps.viewer.page_content import encode_contents
 from sabench.apps.viewer.surroundings import draw_surroundings
 from sabench.dataset.reader import Dataset, datasets_in, open_dataset
@@ -21,7 +22,6 @@ from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import probe, probe_dataset
 from sabench.interop.cameras import read_camera_source
 from sabench.plotting.kinds import COLOURS
-from sabench.plotting.outlines import STYLE
 from sabench.plotting.page import escape_code, inline_code, inline_json, render_page
 from sabench.scenes import Scene, load_scene
 from sabench.utils.errors import InputError

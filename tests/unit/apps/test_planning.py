@@ -17,9 +17,9 @@ from sabench.apps.planning import expected_scores
 from sabench.apps.planning.page import draw_rig, render_plan
 from sabench.apps.planning.plan import Plan, RecordingSystem, Wanted, design_scene, plan
 from sabench.apps.viewer.contents import of_scene
+from sabench.apps.viewer.outlines import Outline, draw_outlines
 from sabench.apps.viewer.surroundings import _faces
 from sabench.evaluation.suite_loading import override
-from sabench.plotting.outlines import Outline, draw_outlines
 from sabench.scenes import Scene, find, load_scene, parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.rendering.particle_images import defocus_px

@@ -232,6 +232,16 @@ BROKEN = [
 ]
 
 
+def test_cameras_json_of_a_calibration_has_the_limits_of_a_data_set(tmp_path: Path) -> None:
+    write_cameras(tmp_path / "new", CAMERAS, "sabench-calibration")
+    file = tmp_path / "new" / "cameras.json"
+    record = json.loads(file.read_text(encoding="utf-8"))
+    record["cameras"][1]["focal_length_mm"] = 1e300
+    file.write_text(json.dumps(record), encoding="utf-8")
+    with refused("cameras.focal_length_mm"):
+        read_cameras(tmp_path / "new", "sabench-calibration")
+
+
 @pytest.mark.parametrize(("name", "text", "key"), BROKEN)
 def test_a_broken_project(name: str, text: str | None, key: str, tmp_path: Path) -> None:
     root = openptv_project(tmp_path / "out")
