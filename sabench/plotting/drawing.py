@@ -282,7 +282,7 @@ def _discs(axes: Any, discs: Discs) -> None:
 
 def _circles(axes: Any, circles: Circles) -> None:
     widths, positions = 2.0 * circles.radius, np.column_stack([circles.x, circles.y])
-    colour = COLOURS[circles.label]
+    colour = COLOURS.get(circles.label, "#57606a")  # grey: of no kind
     style = {"facecolors": f"{colour}55", "edgecolors": colour, "linewidths": 0.8}
     _add_ellipses(axes, positions, widths, **style)
     # the legend's entry
