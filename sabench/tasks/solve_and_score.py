@@ -4,6 +4,7 @@ The time and memory of the solver are measured; the scores compare its result wi
 """
 
 import functools
+import json
 import os
 import shutil
 import time
@@ -29,6 +30,7 @@ from sabench.utils.number_text import format_number
 from sabench.utils.processes.call import call_isolated, preload
 from sabench.utils.processes.confinement import can_confine
 from sabench.utils.processes.program import ProgramLimits
+from sabench.utils.progress import announce_compiling
 
 preload(
     "sabench.tasks.solve_and_score",
@@ -167,6 +169,8 @@ def run_plug_in(
             f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but "
             f"this one shows {shown}"
         )
+    counts = json.loads(Path(__file__).with_name("kernels.json").read_text(encoding="utf-8"))
+    announce_compiling(counts.get(solver))
     load_registries()  # which no solver's clock should see
     memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")

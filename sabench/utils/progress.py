@@ -24,7 +24,7 @@ from rich.text import Text
 
 T = TypeVar("T")
 console = Console(stderr=True)
-_PATIENCE_S = 1.0  # of compiling without a notice
+_PATIENCE_S = 0.5  # of compiling without a notice
 
 
 def say(text: str, style: str | None = None) -> None:
@@ -76,37 +76,53 @@ class _LeftColumn(ProgressColumn):
         return Text("" if left is None else f"{timedelta(seconds=round(left))} left")
 
 
-def _progress(*, refresh: bool) -> Progress:
+def _progress(*, refresh: bool, transient: bool = False) -> Progress:
     text = TextColumn("{task.description:<38}")
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), _LeftColumn())
-    return Progress(*columns, console=console, auto_refresh=refresh)
+    return Progress(*columns, console=console, auto_refresh=refresh, transient=transient)
 
 
 @functools.cache
-def announce_compiling() -> None:
-    """Have this process print one notice if compiling kernels takes over a second."""
+def announce_compiling(kernels: int | None = None) -> None:
+    """Have this process show a bar, or a line in a log, while it compiles kernels.
+
+    It counts those of sabench, of which so many are expected if none is stored.
+    """
     from numba.core import event
 
     class CompileListener(event.Listener):  # type: ignore[misc]
-        """Timer that runs while kernels compile; those from the cache send no events."""
+        """Bar that shows while kernels compile; those from the cache send no events."""
 
         def __init__(self) -> None:
             self.depth = 0  # a kernel that calls others compiles them within its own compilation
-            self.timer: threading.Timer | None = None
+            self.lock, self.timer = threading.Lock(), threading.Timer(0.0, self.show)
+            self.bar = _progress(refresh=True, transient=True)
+            self.task = self.bar.add_task("compile kernels, once", total=kernels, start=False)
+
+        def show(self) -> None:
+            """Show the bar, unless compilation has ended."""
+            with self.lock:
+                if self.depth:
+                    self.bar.start() if console.is_terminal else _say_compiling()
 
         def on_start(self, event: Any) -> None:
-            """Start the timer with the outermost compilation."""
+            """Show the bar some time after the outermost compilation has begun."""
             self.depth += 1
             if self.depth == 1:
-                self.timer = threading.Timer(_PATIENCE_S, _say_compiling)
+                self.bar.start_task(self.task)
+                self.timer = threading.Timer(_PATIENCE_S, self.show)
                 self.timer.daemon = True
                 self.timer.start()
 
         def on_end(self, event: Any) -> None:
-            """Stop the timer with the outermost compilation."""
-            self.depth -= 1
-            if self.depth == 0 and self.timer:
-                self.timer.cancel()
+            """Count the kernel, and hide the bar with the outermost compilation."""
+            if event.data["dispatcher"].py_func.__module__.startswith("sabench"):
+                self.bar.advance(self.task)
+            with self.lock:
+                self.depth -= 1
+                if not self.depth:
+                    self.timer.cancel()
+                    self.bar.stop()
 
     event.register("numba:compile", CompileListener())
 
