@@ -135,7 +135,7 @@ def plan_density(scene: Scene, view: Viewing, sample: ParticleSample) -> Section
             Advice(
                 key,
                 f"images cover {covered:.0%} of the pixels at the middle: reduce {key} by a factor "
-                f"of {densest * area / -math.log(1.0 - _MOST_COVERED):.2g}, or volume.size_mm",
+                f"of {densest * area / -math.log(1.0 - _MOST_COVERED):.3g}, or volume.size_mm",
             )
         )
     return Section("density", quantities, tuple(advice))
@@ -160,30 +160,24 @@ _Values = Mapping[str, float]
 
 
 class Feature(NamedTuple):
-    """Figure of a plan that scores depend on.
-
-    `key` is the scene's key to change; None: the key of the density.
-    """
+    """Figure of a plan that scores depend on."""
 
     value: Callable[[_Values], float]
-    key: str | None
     logarithmic: bool = True
 
 
 FEATURES: dict[str, Feature] = {
-    "cameras": Feature(lambda v: v["cameras"], "cameras.layout"),
-    "source_density": Feature(lambda v: v["source_density"], None),
-    "image_px": Feature(lambda v: v["image_px"], "cameras.f_number"),
-    "peak_snr": Feature(lambda v: v["peak_snr"], "illumination.pulse_energy_mj"),
-    "elongation": Feature(lambda v: v["elongation"], "cameras.layout"),
-    "depth in pixels": Feature(lambda v: v["depth_mm"] / v["pixel_center_mm"], "volume.size_mm"),
-    "voxel_length": Feature(lambda v: v["voxel_length"], "grid.voxel_mm"),
-    "coarsest / inner pixel": Feature(
-        lambda v: v["pixel_coarsest_mm"] / v["pixel_center_mm"], "cameras.layout"
-    ),
-    "light_scatter": Feature(lambda v: v["light_scatter"], "illumination.direction", False),
+    "cameras": Feature(lambda v: v["cameras"]),
+    "source_density": Feature(lambda v: v["source_density"]),
+    "image_px": Feature(lambda v: v["image_px"]),
+    "peak_snr": Feature(lambda v: v["peak_snr"]),
+    "elongation": Feature(lambda v: v["elongation"]),
+    "depth in pixels": Feature(lambda v: v["depth_mm"] / v["pixel_center_mm"]),
+    "voxel_length": Feature(lambda v: v["voxel_length"]),
+    "coarsest / inner pixel": Feature(lambda v: v["pixel_coarsest_mm"] / v["pixel_center_mm"]),
+    "light_scatter": Feature(lambda v: v["light_scatter"], False),
     "(calibration_px / image_px)^2": Feature(
-        lambda v: (v["calibration_px"] / v["image_px"]) ** 2, "calibration", False
+        lambda v: (v["calibration_px"] / v["image_px"]) ** 2, False
     ),
 }
 _CALIBRATION = list(FEATURES).index("(calibration_px / image_px)^2")
@@ -314,6 +308,9 @@ def plan_scores(scene: Scene, sections: Sequence[Section]) -> Section | None:
     if not {"elongation", "source_density"} <= values.keys() or not values["peak_snr"]:
         return None
     model, features = load_model(), features_of(values)
+    if outside := _outside(model, features):
+        why = f"none, {' and '.join(outside)}: solve and score the scene"
+        return Section("expected scores", (Quantity("expected", None, why, _SOURCE),), ())
     quantities = []
     for key, score in SCORES.items():
         value, error = (float(each[0]) for each in model.predict(key, features[None]))
@@ -322,26 +319,20 @@ def plan_scores(scene: Scene, sections: Sequence[Section]) -> Section | None:
         allowed = model.allowed_error_px(key, features, values["image_px"])
         meaning = f"calibration error that costs {name} {_COST:g} in Q"
         quantities.append(Quantity(f"calibration_{name}_px", allowed, meaning, _SOURCE))
-    return Section("expected scores", tuple(quantities), tuple(_outside(scene, model, features)))
+    return Section("expected scores", tuple(quantities), ())
 
 
 _SOURCE = "fitted to measured scenes"
 
 
-def _outside(scene: Scene, model: ScoreModel, features: F64) -> list[Advice]:
-    """List the figures outside the range of the fitted scenes."""
-    advice = []
-    for number, (name, feature) in enumerate(FEATURES.items()):
-        value, low, high = features[number], model.low[number], model.high[number]
-        if low * (1.0 - _EDGE) <= value <= high * (1.0 + _EDGE):
-            continue
-        edge, word = (low, "least") if value < low else (high, "largest")
-        key = feature.key or density_key(scene)
-        advice.append(
-            Advice(
-                key,
-                f"{name} is {value:.3g}, {value / edge:.3g} times the {word} of the measured "
-                f"scenes: expected scores are those at {edge:.3g}; {key} sets it",
-            )
-        )
-    return advice
+def _outside(model: ScoreModel, features: F64) -> list[str]:
+    """List the figures outside the range of the fitted scenes.
+
+    More light than in these is none of them: their brightest hardly show noise.
+    """
+    outside = []
+    for name, value, low, high in zip(FEATURES, features, model.low, model.high, strict=True):
+        below, above = value < low * (1.0 - _EDGE), value > high * (1.0 + _EDGE)
+        if below or (above and name != "peak_snr"):
+            outside.append(f"{name} is {value:.3g} (measured: {low:.3g} to {high:.3g})")
+    return outside

@@ -336,11 +336,11 @@ def _advise_size(scene: Scene, diameter_px: float) -> list[Advice]:
     key = "cameras.particle_sigma_px" if given else "cameras.f_number"
     if diameter_px < _SMALLEST_PX:
         wrong = "less than 2 px, so positions lock to whole pixels"
-        return [Advice(key, f"images are {diameter_px:.2g} px wide, {wrong}: raise {key}")]
+        return [Advice(key, f"images are {diameter_px:.3g} px wide, {wrong}: raise {key}")]
     if diameter_px > _LARGEST_PX:
         wrong = "which lowers the density that can be resolved"
         change = f"set {key} so that they are 2 to 4 px wide"
-        return [Advice(key, f"images are {diameter_px:.2g} px wide, {wrong}: {change}")]
+        return [Advice(key, f"images are {diameter_px:.3g} px wide, {wrong}: {change}")]
     return []
 
 
