@@ -118,7 +118,8 @@ class Package:
         for module, tree in self.trees.items():
             for node in ast.walk(tree):
                 if isinstance(node, ast.FunctionDef):
-                    if any("jit" in ast.unparse(one) for one in node.decorator_list):
+                    marks = " ".join(map(ast.unparse, node.decorator_list))
+                    if "njit" in marks or "inner_kernel" in marks:
                         self.kernels.add(f"{module}.{node.name}")
                     for one in ast.walk(node):
                         name = getattr(one, "id", None) or getattr(one, "attr", None)
