@@ -11,26 +11,29 @@ PLACES = ("sabench", "solvers", "generators", "reproduction", "benchmarks", "exa
 
 
 def decorator(node: ast.AST) -> str:
-    if not isinstance(node, ast.FunctionDef):
+    if not isinstance(node, ast.FunctionDef) or not node.decorator_list:
         return ""
     return " ".join(ast.unparse(one) for one in node.decorator_list)
 
 
 def is_kernel(node: ast.AST) -> bool:
-    return "njit" in decorator(node) or "inner_kernel" in decorator(node)
+    how = decorator(node)
+    return "njit" in how or "inner_kernel" in how
 
 
 def module(file: Path) -> str:
     return ".".join(file.relative_to(ROOT).with_suffix("").parts)
 
 
-def names_outside(node: ast.AST) -> Iterator[ast.expr]:
-    """Names that Python uses: all but those in kernels."""
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.Name | ast.Attribute):
-            yield child
-        if not is_kernel(child):
-            yield from names_outside(child)
+def used_outside(file: Path) -> Iterator[ast.AST]:
+    """Names that Python uses, all but those in kernels, and imports."""
+    waiting: list[ast.AST] = [syntax(file)]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Name | ast.Attribute | ast.ImportFrom):
+            yield node
+        if not is_kernel(node):
+            waiting.extend(ast.iter_child_nodes(node))
 
 
 def test_kernels_are_inner_ones_where_python_calls_none() -> None:
@@ -45,11 +48,13 @@ def test_kernels_are_inner_ones_where_python_calls_none() -> None:
     }
     called: set[Kernel] = set()
     for file in files:
-        known = {name: (own, name) for own, name in kernels if own == module(file)}
-        for node in ast.walk(syntax(file)):
+        here = module(file)
+        known = {name: (own, name) for own, name in kernels if own == here}
+        found = list(used_outside(file))
+        for node in found:
             if isinstance(node, ast.ImportFrom) and node.module:
                 known |= {one.asname or one.name: (node.module, one.name) for one in node.names}
-        for used in names_outside(syntax(file)):
+        for used in found:
             if isinstance(used, ast.Name):
                 called.add(known.get(used.id, ("", "")))
             elif isinstance(used, ast.Attribute) and isinstance(used.value, ast.Name):
