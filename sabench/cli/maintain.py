@@ -127,7 +127,6 @@ def new(
         raise InputError(f"{path} exists already: choose another name")
     if kind == "scene":
         from sabench.scenes.loading import find
-        from sabench.utils.files import complete_or_nothing
 
         source = find((like or "quick"), "scenes")
         with complete_or_nothing(path) as partial:
@@ -136,8 +135,6 @@ def new(
     elif like is not None:
         raise InputError(f"--like: expected with a scene, got {like!r} with a {kind}")
     else:
-        from sabench.utils.files import complete_or_nothing
-
         ignored = shutil.ignore_patterns("__pycache__")
         with complete_or_nothing(path) as partial:
             shutil.copytree(plugins.bundled_folder("templates") / kind, partial, ignore=ignored)

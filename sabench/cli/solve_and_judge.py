@@ -28,20 +28,24 @@ def solve(
     parameter: options.ParameterPairs = None,
     time_limit: options.TimeLimit = None,
     memory_limit: options.MemoryLimit = None,
+    dry_run: options.DryRun = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Run a solver on a data set and write its result file."""
+    from sabench.apps.costs import announce, cost_of_solve
     from sabench.dataset.verification import probe_dataset
     from sabench.tasks.solve_and_score import solve as run_solver
     from sabench.utils.processes.program import limits_of
 
     options.announce_compiling()
     probe_dataset(dataset)
+    parameters = options.parse_parameters(parameter)
+    announce(cost_of_solve(solver, dataset, parameters), output, dry_run=dry_run)
     result = run_solver(
         solver,
         dataset,
         output,
-        parameters=options.parse_parameters(parameter),
+        parameters=parameters,
         limits=limits_of(time_limit, memory_limit),
         overwrite=overwrite,
     )
