@@ -1,5 +1,6 @@
 """Time, memory and disk space of commands, from a part that is measured on this machine."""
 
+import functools
 import math
 import os
 import shutil
@@ -41,6 +42,7 @@ from sabench.utils import memory
 from sabench.utils.arrays import F64
 from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
+from sabench.utils.processes.call import call_isolated
 from sabench.utils.progress import say
 
 _TRIAL_S = 2.0  # of a measurement, until which it goes on with larger images
@@ -54,13 +56,15 @@ class Costs:
     Attributes
     ----------
     seconds : time of the parts whose time is known; inf where it may be hours.
-    memory, disk : bytes, at most; None where unknown.
+    memory, disk : bytes; None where unknown.
+    results : bytes on the disk that results take at most, as their arrays are compressed.
     unknown : whether other parts take unknown time.
     """
 
     seconds: float = 0.0
     memory: float | None = 0.0
     disk: float = 0.0
+    results: float = 0.0
     unknown: bool = False
 
     def __add__(self, other: "Costs") -> "Costs":
@@ -68,7 +72,8 @@ class Costs:
         known = self.memory is not None and other.memory is not None
         peak = max(self.memory or 0.0, other.memory or 0.0) if known else None
         seconds, disk = self.seconds + other.seconds, self.disk + other.disk
-        return Costs(seconds, peak, disk, self.unknown or other.unknown)
+        results, unknown = self.results + other.results, self.unknown or other.unknown
+        return Costs(seconds, peak, disk, results, unknown)
 
     def __str__(self) -> str:
         """Name time, memory and disk space."""
@@ -77,7 +82,8 @@ class Costs:
             words = "at least" if self.unknown else "about"
             span = f"{words} {timedelta(seconds=math.ceil(self.seconds))}"
         peak = "unknown" if self.memory is None else f"about {_size(self.memory)}"
-        return f"time {span}, memory {peak}, disk {_size(self.disk)}"
+        more = f" and at most {_size(self.results)} of results" if self.results else ""
+        return f"time {span}, memory {peak}, disk {_size(self.disk)}{more}"
 
 
 def announce(costs: Costs, target: Path, *, dry_run: bool) -> None:
@@ -88,7 +94,7 @@ def announce(costs: Costs, target: Path, *, dry_run: bool) -> None:
     disk = next(path for path in (target.absolute(), *target.absolute().parents) if path.exists())
     free = shutil.disk_usage(disk).free
     if dry_run:
-        print(f"{target}: {costs} of {_size(free)} free")
+        print(f"{target}: {costs}; {_size(free)} are free")
         raise SystemExit(0)
     unfinished = (path for path in target.parent.glob(f".{target.name}.*/**/*") if path.is_file())
     if costs.disk > (left := free + sum(path.stat().st_size for path in unfinished)):
@@ -96,7 +102,7 @@ def announce(costs: Costs, target: Path, *, dry_run: bool) -> None:
             f"{target}: expected {_size(costs.disk)} of free disk space, got {_size(left)}; "
             "choose another disk, or generate less"
         )
-    largest = max(costs.memory or 0.0, costs.disk)
+    largest = max(costs.memory or 0.0, costs.disk + costs.results)
     if costs.seconds > _NOTICE_S or largest > _NOTICE_BYTES:
         say(f"{target}: {costs}")
 
@@ -124,10 +130,11 @@ def cost_of_generation(
     recorder, start = recorder_of(scene, seed, renderer, label), time.perf_counter()
     entries = recorder.frame(0, _no_part)
     first = frame_s = time.perf_counter() - start
-    if scene.frames > 1 and first < _TRIAL_S:
-        start = time.perf_counter()
-        recorder.frame(1, _no_part)
-        frame_s = time.perf_counter() - start
+    for number in range(1, min(scene.frames, 3)):  # kernels of a flow load in the second frame
+        if frame_s < _TRIAL_S:
+            start = time.perf_counter()
+            entries = recorder.frame(number, _no_part)
+            frame_s = time.perf_counter() - start
     assert recorder.last is not None
     truth = sum(array.nbytes for value, _ in entries for array in named_arrays(value, "").values())
     start_s, view = _measure_view(recorder.last) if recorder.views else (0.0, np.zeros(3))
@@ -230,7 +237,7 @@ def cost_of_solving(
     Records of bundled scenes serve others, scaled by voxels in tasks with volumes, else by pixels.
     """
     volumes = head["task"] in ("reconstruction", "velocimetry")
-    disk = 4.0 * frames * math.prod(optics.grid.shape) if head["task"] == "reconstruction" else 0.0
+    largest = 4.0 * frames * math.prod(optics.grid.shape) * (head["task"] == "reconstruction")
     keys = ("reference_s", "seconds", "peak_mb")
     own = [one for one in records if all(one.get(key) for key in keys)]
     own = [one for one in own if all(one[key] == head[key] for key in ("solver", "parameters"))]
@@ -246,10 +253,18 @@ def cost_of_solving(
                 ratio = next(sizes) / next(sizes)
                 break
     if not fitting:
-        return Costs(0.0, None, disk, unknown=True)
+        return Costs(0.0, None, results=largest, unknown=True)
     rate = float(np.median([one["seconds"] / one["reference_s"] for one in fitting]))
     peak = max(one["peak_mb"] for one in fitting) * 1e6 * max(ratio, 1.0)
-    return Costs(frames * ratio * rate * reference_s(), peak, disk)
+    return Costs(frames * ratio * rate * _measure_reference()[1], peak, results=largest)
+
+
+@functools.cache
+def _measure_reference() -> tuple[float, float]:
+    """Measure seconds to start a child process, and of the reference kernel in it."""
+    start = time.perf_counter()
+    reference = float(call_isolated(reference_s, doing="reference kernel"))
+    return time.perf_counter() - start, reference
 
 
 def cost_of_solve(solver: str, dataset: Path, parameters: dict[str, Any]) -> Costs:
@@ -281,7 +296,8 @@ def cost_of_suite(
 ) -> Costs:
     """Estimate the costs of `run`: of data sets and results that it lacks.
 
-    One data set of each scene and renderer is measured; others are scaled by their pixels.
+    One data set of each scene and renderer is measured; others are scaled by their pixels. The
+    start of a child process stands for what scores and figures of a result take.
     """
     suite, cases = load_suite(path, read_secret(secret) if secret else None)
     records = _records(leaderboard)
@@ -305,7 +321,7 @@ def cost_of_suite(
             made, measured = rates[case.base, case.renderer]
             ratio = pixels / measured
             parts.append(replace(made, seconds=made.seconds * ratio, disk=made.disk * ratio))
-        costs = sum(parts, Costs())
+        costs = sum(parts, Costs(len(lacking) * _measure_reference()[0] if lacking else 0.0))
         disk = total.disk + costs.disk if suite.keep_data else max(total.disk, costs.disk)
         total = replace(total + costs, disk=disk)
     return total

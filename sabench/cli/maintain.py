@@ -125,9 +125,10 @@ def new(
         raise InputError(f"KIND: expected one of {', '.join(_TEMPLATES)}, got {kind!r}")
     if path.exists():
         raise InputError(f"{path} exists already: choose another name")
-    if kind == "scene":
-        from sabench.scenes.loading import find
+    from sabench.scenes.loading import find
+    from sabench.utils.files import complete_or_nothing
 
+    if kind == "scene":
         source = find((like or "quick"), "scenes")
         with complete_or_nothing(path) as partial:
             partial.write_bytes(source.read_bytes())

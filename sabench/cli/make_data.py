@@ -154,14 +154,8 @@ def generate(
     for key, sentence in unusual_values(loaded):
         print(f"warning: {scene}: {key}: {sentence}", file=sys.stderr)
     loaded = loaded if frames is None else loaded.with_frames(frames)
-    common: dict[str, Any] = {
-        "seed": seed,
-        "backend": cast("Renderer", backend),  # both check the word
-        "name": Path(scene).stem,
-        "overwrite": overwrite,
-        "jobs": jobs,
-        "scheduler": scheduler,
-    }
+    common: _Keys = {"seed": seed, "backend": cast("Renderer", backend), "name": Path(scene).stem}
+    common |= {"overwrite": overwrite, "jobs": jobs, "scheduler": scheduler}
     shards = {"split": split, "truth": truth, "compression": compression, "shard-size": shard_size}
     given = {name: value for name, value in shards.items() if value is not None}
     if samples is not None:

@@ -39,15 +39,10 @@ def solve(
 
     options.announce_compiling()
     probe_dataset(dataset)
-    parameters = options.parse_parameters(parameter)
-    announce(cost_of_solve(solver, dataset, parameters), output, dry_run=dry_run)
+    given, limits = options.parse_parameters(parameter), limits_of(time_limit, memory_limit)
+    announce(cost_of_solve(solver, dataset, given), output, dry_run=dry_run)
     result = run_solver(
-        solver,
-        dataset,
-        output,
-        parameters=parameters,
-        limits=limits_of(time_limit, memory_limit),
-        overwrite=overwrite,
+        solver, dataset, output, parameters=given, limits=limits, overwrite=overwrite
     )
     memory = f"{result.peak_mb:.0f} MB" if result.peak_mb else "unknown memory"
     say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, at most {memory}")

@@ -97,10 +97,8 @@ def generate(
     asked for, or frames that failed again and again.
     """
     loaded, label = load_checked(scene, name, seed, jobs=jobs)
-    target, job = (
-        Path(out).absolute(),
-        Job(loaded, seed, renderer_of(loaded, backend, label), label),
-    )
+    target, renderer = Path(out).absolute(), renderer_of(loaded, backend, label)
+    job = Job(loaded, seed, renderer, label)
     refuse_existing(target, overwrite=overwrite)
     check_affordable(label, loaded, build_rig(loaded, label), target.parent)
     with _parts(target, job) as parts:
