@@ -32,12 +32,13 @@ from sabench.scenes import ParticleWorld, Rig, Scene, build_rig, load_scene
 from sabench.simulation.camera_view import record_image, render_camera_view
 from sabench.simulation.frames import FrameContent
 from sabench.simulation.pipeline import renderer_of
-from sabench.simulation.recording.parts import Job
+from sabench.simulation.recording.parts import Job, Part
 from sabench.simulation.recording.recorders import recorder_of
 from sabench.simulation.recording.schedule import RecordingTask
 from sabench.simulation.shard_job import SampleMaker, ShardJob, ShardMaker
 from sabench.tasks.external_programs import is_program
 from sabench.tasks.solve_and_score import describe_solver
+from sabench.tasks.visible_files import hide_from_solvers
 from sabench.utils import memory
 from sabench.utils.arrays import F64
 from sabench.utils.backend import Renderer, choose_renderer
@@ -128,12 +129,12 @@ def cost_of_generation(
     if not exact and pixels < (5e6 if isinstance(scene.world, ParticleWorld) else 1e5):
         return Costs()
     recorder, start = recorder_of(scene, seed, renderer, label), time.perf_counter()
-    entries = recorder.frame(0, _no_part)
+    entries = recorder.frame(0, lambda frame: Part({}))
     first = frame_s = time.perf_counter() - start
     for number in range(1, min(scene.frames, 3)):  # kernels of a flow load in the second frame
         if frame_s < _TRIAL_S:
             start = time.perf_counter()
-            entries = recorder.frame(number, _no_part)
+            entries = recorder.frame(number, lambda frame: Part({}))
             frame_s = time.perf_counter() - start
     assert recorder.last is not None
     truth = sum(array.nbytes for value, _ in entries for array in named_arrays(value, "").values())
@@ -188,10 +189,6 @@ def _render(frame: FrameContent, camera: Camera) -> F64:
                     write_arrays(file, part, group_of(type(part), 0, camera.name))
         stored = sum(file.stat().st_size for file in (grey, light, truth))
     return np.array([time.perf_counter() - start, stored, (memory.peak_mb() or 0.0) * 1e6])
-
-
-def _no_part(frame: int) -> Any:
-    raise ValueError(f"frame {frame}: expected no frame before it")
 
 
 def cost_of_samples(
@@ -297,15 +294,19 @@ def cost_of_suite(
     """Estimate the costs of `run`: of data sets and results that it lacks.
 
     One data set of each scene and renderer is measured; others are scaled by their pixels. The
-    start of a child process stands for what scores and figures of a result take.
+    start of two child processes stands for what checks, scores and figures of a result take.
     """
-    suite, cases = load_suite(path, read_secret(secret) if secret else None)
+    with hide_from_solvers(secret):
+        suite, cases = load_suite(path, read_secret(secret) if secret else None)
+        heads = [
+            (case, [describe_run(case, entry, path) for entry in case.solvers])
+            for case in only.select(cases)
+        ]
     records = _records(leaderboard)
     known = {} if fresh else known_records(leaderboard)
     total, rates = Costs(), dict[tuple[str, str], tuple[Costs, int]]()
-    for case in only.select(cases):
-        heads = [describe_run(case, entry, path) for entry in case.solvers]
-        lacking = [head for head in heads if key_of(head, COMPUTED) not in known]
+    for case, runs in heads:
+        lacking = [head for head in runs if key_of(head, COMPUTED) not in known]
         optics: Rig | CamerasFile
         if isinstance(case, SceneCase):
             optics, frames = build_rig(case.scene, case.name), case.scene.frames
@@ -321,7 +322,7 @@ def cost_of_suite(
             made, measured = rates[case.base, case.renderer]
             ratio = pixels / measured
             parts.append(replace(made, seconds=made.seconds * ratio, disk=made.disk * ratio))
-        costs = sum(parts, Costs(len(lacking) * _measure_reference()[0] if lacking else 0.0))
+        costs = sum(parts, Costs(2 * len(lacking) * _measure_reference()[0] if lacking else 0.0))
         disk = total.disk + costs.disk if suite.keep_data else max(total.disk, costs.disk)
         total = replace(total + costs, disk=disk)
     return total
