@@ -1,6 +1,7 @@
 """Time, memory and disk space of commands, from a part that is measured on this machine."""
 
 import functools
+import glob
 import math
 import os
 import shutil
@@ -97,8 +98,8 @@ def announce(costs: Costs, target: Path, *, dry_run: bool) -> None:
     if dry_run:
         print(f"{target}: {costs}; {_size(free)} are free")
         raise SystemExit(0)
-    unfinished = (path for path in target.parent.glob(f".{target.name}.*/**/*") if path.is_file())
-    if costs.disk > (left := free + sum(path.stat().st_size for path in unfinished)):
+    unfinished = target.parent.glob(f".{glob.escape(target.name)}.*/**/*")
+    if costs.disk > (left := free + sum(one.stat().st_size for one in unfinished if one.is_file())):
         raise InputError(
             f"{target}: expected {_size(costs.disk)} of free disk space, got {_size(left)}; "
             "choose another disk, or generate less"
@@ -289,7 +290,6 @@ def cost_of_suite(
     jobs: int,
     *,
     fresh: bool,
-    exact: bool,
 ) -> Costs:
     """Estimate the costs of `run`: of data sets and results that it lacks.
 
@@ -317,7 +317,7 @@ def cost_of_suite(
             pixels = frames * _count_pixels(optics)
             if (case.base, case.renderer) not in rates:
                 asked: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
-                made = cost_of_generation(case.scene, case.seed, asked, jobs, exact=exact)
+                made = cost_of_generation(case.scene, case.seed, asked, jobs, exact=True)
                 rates[case.base, case.renderer] = made, pixels
             made, measured = rates[case.base, case.renderer]
             ratio = pixels / measured

@@ -122,7 +122,7 @@ def run(
     options.announce_compiling()
     only = Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ()))
     what: dict[str, Any] = {"fresh": fresh, "only": only, "secret": hidden, "jobs": jobs}
-    costs = cost_of_suite(suite, work, leaderboard, **what, exact=dry_run)
+    costs = cost_of_suite(suite, work, leaderboard, **what)
     announce(costs, work, dry_run=dry_run)
     records = run_suite(suite, work, leaderboard, **what)
     if as_json:
