@@ -1,4 +1,4 @@
-"""Time, memory and disk space of commands, from a part that is measured on this machine."""
+"""Time, memory and disk space of commands, from a measured part of their work."""
 
 import functools
 import glob
@@ -49,6 +49,7 @@ from sabench.utils.progress import say
 
 _TRIAL_S = 2.0  # of a measurement, until which it goes on with larger images
 _NOTICE_S, _NOTICE_BYTES = 60.0, 1e9
+_STORED = ("disk", "results")  # costs of data and results that a suite may delete
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ def _measure_view(frame: FrameContent) -> tuple[float, F64]:
 
 
 def _crop(camera: Camera, side: int, place: float) -> Camera:
-    """Cut a window of a camera, 1 / side of its rows and columns; `place` is between the edges."""
+    """Cut 1 / side of a camera's rows and columns; `place` is 0 to 1 between edges."""
     rows, columns = max(camera.rows // side, 1), max(camera.columns // side, 1)
     column, row = camera.principal_point_px
     down, right = int((camera.rows - rows) * place), int((camera.columns - columns) * place)
@@ -195,9 +196,9 @@ def _render(frame: FrameContent, camera: Camera) -> F64:
 def cost_of_samples(
     scene: Scene, samples: int, kept: dict[str, Any], common: dict[str, Any], *, exact: bool
 ) -> Costs:
-    """Estimate the costs of samples from a small shard of them; raises as `generate_samples`.
+    """Estimate the costs of `generate_samples` from a small shard; raises as it does.
 
-    `kept` and `common` are arguments of `generate_samples`.
+    `kept` and `common` are arguments of it.
     """
     contents = {key: kept[key] for key in ("truth", "compression") if key in kept}
     seed, backend = common["seed"], common["backend"]
@@ -230,7 +231,7 @@ def cost_of_samples(
 def cost_of_solving(
     records: Sequence[Record], head: Record, optics: Rig | CamerasFile, frames: int
 ) -> Costs:
-    """Estimate a solver's costs from its records, scaled by the time of the reference kernel.
+    """Estimate a solver's costs from its records and the reference kernel.
 
     Records of bundled scenes serve others, scaled by voxels in tasks with volumes, else by pixels.
     """
@@ -266,7 +267,7 @@ def _measure_reference() -> tuple[float, float]:
 
 
 def cost_of_solve(solver: str, dataset: Path, parameters: dict[str, Any]) -> Costs:
-    """Estimate the costs of `solve`; unknown for programs and solvers without a record."""
+    """Estimate the costs of `solve`; unknown for programs, and without a record."""
     data = open_dataset(dataset)
     if is_program(solver):
         return Costs(0.0, None, unknown=True)
@@ -323,6 +324,7 @@ def cost_of_suite(
             ratio = pixels / measured
             parts.append(replace(made, seconds=made.seconds * ratio, disk=made.disk * ratio))
         costs = sum(parts, Costs(2 * len(lacking) * _measure_reference()[0] if lacking else 0.0))
-        disk = total.disk + costs.disk if suite.keep_data else max(total.disk, costs.disk)
-        total = replace(total + costs, disk=disk)
+        join = sum if suite.keep_data else max
+        disk, results = (join([getattr(one, key) for one in (total, costs)]) for key in _STORED)
+        total = replace(total + costs, disk=disk, results=results)
     return total

@@ -217,7 +217,7 @@ def put_together(
 
 
 def renderer_of(scene: Scene, asked: Renderer, label: str) -> str:
-    """Choose the renderer of a scene; raises InputError for one that cannot render it."""
+    """Choose a scene's renderer; raises InputError for one that cannot render it."""
     world = scene.world
     if isinstance(world, BubbleWorld):
         if asked == "splat":
