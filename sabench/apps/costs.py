@@ -90,7 +90,7 @@ class Costs:
 
 
 def announce(costs: Costs, target: Path, *, dry_run: bool) -> None:
-    """Print costs that are above a minute or 1 GB; in a dry run, print all and end the command.
+    """Print costs above a minute or 1 GB; in a dry run, print any and exit.
 
     Raises InputError if the disk of `target` is too small.
     """
@@ -147,7 +147,7 @@ def cost_of_generation(
 
 
 def _measure_view(frame: FrameContent) -> tuple[float, F64]:
-    """Measure seconds to start, and seconds, bytes and peak memory (3,) of one camera's image."""
+    """Measure seconds to start, and seconds, bytes and peak (3,) of one image."""
     cameras, points = frame.rig.cameras, list[tuple[float, F64]]()
     _render(frame, _crop(cameras[0], 16, 0.5))  # loads the renderer and its kernels
     start = time.perf_counter()
