@@ -28,22 +28,21 @@ def solve(
     parameter: options.ParameterPairs = None,
     time_limit: options.TimeLimit = None,
     memory_limit: options.MemoryLimit = None,
+    dry_run: options.DryRun = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Run a solver on a data set and write its result file."""
+    from sabench.apps.costs import announce, cost_of_solve
     from sabench.dataset.verification import probe_dataset
     from sabench.tasks.solve_and_score import solve as run_solver
     from sabench.utils.processes.program import limits_of
 
     options.announce_compiling()
     probe_dataset(dataset)
+    given, limits = options.parse_parameters(parameter), limits_of(time_limit, memory_limit)
+    announce(cost_of_solve(solver, dataset, given), output, dry_run=dry_run)
     result = run_solver(
-        solver,
-        dataset,
-        output,
-        parameters=options.parse_parameters(parameter),
-        limits=limits_of(time_limit, memory_limit),
-        overwrite=overwrite,
+        solver, dataset, output, parameters=given, limits=limits, overwrite=overwrite
     )
     memory = f"{result.peak_mb:.0f} MB" if result.peak_mb else "unknown memory"
     say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, at most {memory}")

@@ -97,7 +97,8 @@ def generate(
     asked for, or frames that failed again and again.
     """
     loaded, label = load_checked(scene, name, seed, jobs=jobs)
-    target, job = Path(out).absolute(), Job(loaded, seed, _renderer(loaded, backend, label), label)
+    target, renderer = Path(out).absolute(), renderer_of(loaded, backend, label)
+    job = Job(loaded, seed, renderer, label)
     refuse_existing(target, overwrite=overwrite)
     check_affordable(label, loaded, build_rig(loaded, label), target.parent)
     with _parts(target, job) as parts:
@@ -215,7 +216,8 @@ def put_together(
         recorder.finish(writer, parts)
 
 
-def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
+def renderer_of(scene: Scene, asked: Renderer, label: str) -> str:
+    """Choose a scene's renderer; raises InputError for one that cannot render it."""
     world = scene.world
     if isinstance(world, BubbleWorld):
         if asked == "splat":
