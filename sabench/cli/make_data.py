@@ -40,6 +40,9 @@ def plan(
     density: Annotated[float | None, option("X", "Wanted density, particles per mm3.")] = None,
     resolution: Annotated[float | None, option("X", "Wanted pixel in the volume, mm.")] = None,
     output: Annotated[Path | None, output_option("FILE", "Write the scene that is wanted.")] = None,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Measure scores on small data sets: minutes.")
+    ] = False,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -55,6 +58,10 @@ def plan(
         raise InputError("SCENE: expected a scene file, or the name of a bundled scene, got none")
     else:
         planned = make(scene, recorder)
+    if measure:
+        from sabench.apps.planning.measured_scores import measure_scores
+
+        planned = measure_scores(planned)
     if page is not None:
         from sabench.apps.planning.page import render_plan
         from sabench.utils.files import complete_or_nothing

@@ -1,0 +1,93 @@
+"""Scores that solvers reach on a reduced twin of a scene, in place of expected ones.
+
+The twin keeps cameras, walls, light and density. Its images and its volume across the lines of
+sight are smaller, as far as the figures that scores depend on stay the same.
+"""
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import Any
+
+import numpy as np
+
+from sabench.apps.planning.expected_scores import SCORES, ExpectedScore, feature_values
+from sabench.apps.planning.plan import Plan, plan
+from sabench.apps.planning.viewing import Quantity, Section
+from sabench.scenes import Scene, parse_scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.solve_and_score import score, solve
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.progress import say
+
+_DRAWS = 3  # data sets, each with other particles, noise and calibration errors
+_SHARES = (0.2, 0.3, 0.45, 0.67)  # of rows, columns and width
+_LEAST_PX = 100  # rows: fewer show too few particles
+_ALIKE = 0.1  # relative difference of figures
+
+
+def measure_scores(planned: Plan) -> Plan:
+    """Replace the expected scores of a plan by measured ones.
+
+    Raises
+    ------
+    InputError
+        A scene whose cameras see no lit particles, or one that cannot be generated or solved.
+    """
+    figures = feature_values(planned.sections)
+    if figures is None:
+        raise InputError(f"{planned.scene.title}: expected a scene with lit particles to measure")
+    twin = _reduce(planned, figures)
+    size = f"{_DRAWS} data sets of {twin.cameras.columns} x {twin.cameras.rows} px"
+    say(f"measure scores on {size}")
+    found: dict[str, list[float]] = {key: [] for key in SCORES}
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(_DRAWS):
+            data = generate(twin, Path(folder) / f"{seed}", seed=seed)
+            scores = {
+                name: score(data, solve(name, data, Path(folder) / f"{name}-{seed}.h5").path)
+                for name in dict.fromkeys(one.solver for one in SCORES.values())
+            }
+            for key, one in SCORES.items():
+                found[key].append(_value(one, scores[one.solver]))
+    quantities = tuple(
+        Quantity(
+            key, fmean(got), f"{SCORES[key].meaning}, +- {stdev(got):.2g} between them", size
+        )
+        for key, got in found.items()
+    )
+    kept = tuple(one for one in planned.sections if one.title != "expected scores")
+    return replace(planned, sections=(*kept, Section("measured scores", quantities)))
+
+
+def _value(expected: ExpectedScore, scores: Mapping[str, Any]) -> float:
+    if expected.score == "ghosts":
+        return float(scores["peak_ghost_percent"] or 0.0) / 100.0
+    peaks = expected.score == "f1" and "peak_f1" in scores
+    return float(scores["peak_f1" if peaks else expected.score] or 0.0)
+
+
+def _reduce(planned: Plan, wanted: F64) -> Scene:
+    """Find the smallest twin whose figures are those of the scene; else return the scene."""
+    scene, axis = planned.scene.with_frames(1), planned.viewing.axis
+    for share in _SHARES:
+        values = scene.to_dict()
+        for key in ("rows", "columns"):
+            values["cameras"][key] = round(share * values["cameras"][key])
+        shares = [1.0 if edge == axis else share for edge in range(3)]
+        size = [one * part for one, part in zip(scene.volume.size_mm, shares, strict=True)]
+        values["volume"]["size_mm"] = size
+        if "count" in values["particles"]:
+            values["particles"]["count"] = round(values["particles"]["count"] * share**2)
+        try:
+            twin = parse_scene(values, scene.title)
+            got = feature_values(plan(twin).sections)
+        except InputError:
+            continue  # margins or cameras of their own that do not fit a smaller volume
+        large = min(twin.cameras.rows, twin.cameras.columns) >= _LEAST_PX
+        if large and got is not None and np.allclose(got, wanted, rtol=_ALIKE, atol=0.1 * _ALIKE):
+            return twin
+    return scene
