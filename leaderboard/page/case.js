@@ -144,7 +144,7 @@ function verdict(difference) {
 
 function differences(a, b) {
   const columns = data.tasks[state.task].columns.map((column, place) => ({ ...column, place })).filter(column => a.scores[column.place] || b.scores[column.place]);
-  const names = [a, b].map(row => titleOf(row, [a, b])), head = ["score", ...names, `${names[0]} − ${names[1]}`, "common seeds", "differs from 0?"];
+  const names = [a, b].map(row => titleOf(row, [a, b])), head = ["score", ...names, "difference", "common seeds", "differs from 0?"];
   const lines = columns.map(column => {
     const difference = paired(a, b, column.place);
     return make("tr", { "data-key": column.key }, make("th", { scope: "row", title: column.meaning }, column.heading),
@@ -155,6 +155,6 @@ function differences(a, b) {
   const table = make("table", { class: "differences" }, make("caption", { class: "unseen" }, "Scores of the two and their differences"),
     make("thead", {}, make("tr", {}, head.map(text => make("th", { scope: "col", class: "plain" }, text)))), make("tbody", {}, lines));
   return make("div", {}, make("div", { class: "box differences-box", role: "region", "aria-label": "Scores of the two and their differences", tabindex: "0" }, table),
-    make("p", { class: "quiet" }, "The difference is the mean over the seeds that both have, of the first's score minus the second's on the same data, with half the width of its 95 % "
+    make("p", { class: "quiet" }, `The difference is the mean over the seeds that both have, of the score of ${names[0]} minus that of ${names[1]} on the same data, with half the width of its 95 % `
       + "confidence interval: “yes” where that interval does not hold zero."));
 }

@@ -235,7 +235,7 @@ function curveLayers(points_, lined, x, y) {
 }
 
 function sideBySide(points_, x, y) {
-  const places = { field: "x", type: "ordinal", title: x.title, scale: { paddingInner: 0.5, paddingOuter: 0.25 }, axis: { labelAngle: 0 } };
+  const places = { field: "x", type: "ordinal", title: x.title, scale: GROUPED, axis: { labelAngle: 0 } };
   return points(points_, places, y, "y").map(one => ({ ...one, encoding: { ...one.encoding, xOffset: { field: "entry", type: "nominal" } } }));
 }
 

@@ -7,6 +7,7 @@ const MARKERS = [  // paths in a box from -1 to 1, for the plot and its legend
   "M-.8,0a.8,.8 0 1,0 1.6,0a.8,.8 0 1,0 -1.6,0Z", "M-.7,-.7h1.4v1.4h-1.4Z", "M0,-.9L.9,.7H-.9Z", "M0,-1L.8,0L0,1L-.8,0Z", "M0,.9L.9,-.7H-.9Z",
   "M-.3,-1h.6v.7h.7v.6h-.7v.7h-.6v-.7h-.7v-.6h.7Z", "M-.9,0L.7,-.9V.9Z",
 ];
+const GROUPED = { paddingInner: 0.5, paddingOuter: 0.25 };  // of solvers side by side
 const DASHES = [[1, 0], [8, 3], [2, 3], [10, 3, 2, 3], [5, 5]];  // of lines, the full one first
 const MOST = 20;  // solvers in a plot of difficulty: beyond them it shows nothing
 
@@ -266,7 +267,7 @@ function lossesOf(rows, column, solvers) {
 }
 
 function levelPlot(levels, column) {
-  const x = { field: "difficulty", type: "ordinal", scale: { domain: DIFFICULTIES }, title: "difficulty", axis: { labelAngle: 0 } };
+  const x = { field: "difficulty", type: "ordinal", scale: { domain: DIFFICULTIES, ...GROUPED }, title: "difficulty", axis: { labelAngle: 0 } };
   const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
   const offset = { xOffset: { field: "solver", type: "nominal" } };
   const layer = points(levels, x, y, "y").map(one => ({ ...one, encoding: { ...one.encoding, ...offset } }));
