@@ -210,10 +210,10 @@ function keptSolvers(points_) {
 
 // A line needs values at four places; fewer are points side by side. Dashed lines come last, so that they hide no line under them.
 function curveFigure(points_, x, column, label, caption, fewer) {
-  const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
+  const y = { field: "value", type: "quantitative", scale: { zero: false, padding: 10 }, title: column.heading };
   const counts = new Map();
   for (const one of points_) counts.set(one.entry, (counts.get(one.entry) ?? 0) + 1);
-  const lined = points_.filter(one => counts.get(one.entry) >= LEAST_POINTS).sort((a, b) => a.dash.length - b.dash.length);
+  const lined = points_.filter(one => counts.get(one.entry) >= LEAST_POINTS).sort((a, b) => DASHES.indexOf(a.dash) - DASHES.indexOf(b.dash));
   const layer = lined.length ? curveLayers(points_, lined, x, y) : sideBySide(points_, x, y);
   const drawing = plot({ height: 320, layer }, `${label}; the results say the same in numbers`);
   const shown_ = [...new Set(points_.map(one => one.solver))].sort(words.compare), best = (boardShown()?.lines ?? []).map(line => solverOf(data.rows[line.row]));

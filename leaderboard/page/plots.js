@@ -156,7 +156,7 @@ function timePlot(rows, column, own) {
     return { ...plotted(row, scoreOf(row, column.key), column, `, ${shown(seconds, 2)} s${row.wholeProcess ? ` ${PROCESS}` : ""}, ${listed([textOf(row.machine)].filter(Boolean), "machine unknown")}`), time: seconds[0] / (inKernels ? row.reference : 1) };
   });
   const x = { field: "time", type: "quantitative", scale: { type: "log" }, title: TIMES[state.x] ?? "seconds", axis: { labelOverlap: true, gridOpacity: 0.5 } };
-  const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
+  const y = { field: "value", type: "quantitative", scale: { zero: false, padding: 10 }, title: column.heading };
   const label = `${column.heading} against time of ${known.length} results of the case ${own.name}; the table says the same in numbers`;
   const steps = column.key === data.tasks[state.task].columns[0].key ? stepsOf(known, column, inKernels) : [];
   const drawing = plot({ height: 380, layer: [...lines(steps, x, y), ...points(points_, x, y, "y")] }, label);
@@ -268,7 +268,7 @@ function lossesOf(rows, column, solvers) {
 
 function levelPlot(levels, column) {
   const x = { field: "difficulty", type: "ordinal", scale: { domain: DIFFICULTIES, ...GROUPED }, title: "difficulty", axis: { labelAngle: 0 } };
-  const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
+  const y = { field: "value", type: "quantitative", scale: { zero: false, padding: 10 }, title: column.heading };
   const offset = { xOffset: { field: "solver", type: "nominal" } };
   const layer = points(levels, x, y, "y").map(one => ({ ...one, encoding: { ...one.encoding, ...offset } }));
   const drawing = plot({ height: 320, layer }, `${column.heading} of easy, standard and hard cases`);
