@@ -155,7 +155,8 @@ class BubblesTask(FrameByFrame):
         estimates="Every bubble as a circle of its radius, coloured by radius; X or Z to the "
         "right, Y down.",
         cameras="First frame of every camera.",
-        errors="Green: found; blue: missed; orange: ghosts.",
+        errors="Found: a bubble paired with a true one, closer than half its radius; missed: a "
+        "true one without a pair; ghost: an estimated one without a pair.",
         wide=True,
     )
 

@@ -115,6 +115,7 @@ class CalibrationTask(Task):
         "their magnification.",
         cameras="Detected points of the target in every camera, each frame in its own grey, or the "
         "images of the particles.",
+        wide=True,
     )
 
     def scores_data(self, data: Dataset) -> bool:
