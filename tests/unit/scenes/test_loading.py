@@ -45,10 +45,6 @@ FAULTS = [
     ("title =", "title", ": title "),
     ("count = 300", "count = true", "particles.count: expected a number"),
     ("count = 300", 'count = "300"', "particles.count: expected a number"),
-    (
-        "bit_depth = 12",
-        "sensor.shot_noise: expected true or false",
-    ),
     ("black_level_dn = 64.0", "black_level_dn = 5000.0", "sensor.black_level_dn"),
 ]
 
