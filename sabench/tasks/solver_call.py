@@ -114,9 +114,8 @@ def call_solver(
     if reason:
         raise DeclinedError(f"solver {name} declines this case: {reason}")
     if not isinstance(answer, expected):
-        raise InputError(
-            f"solver {name}: expected {expected.__name__}, got {type(answer).__name__}"
-        )
+        sentence = f"solver {name}: expected {expected.__name__}, got {type(answer).__name__}"
+        raise InputError(sentence)
     return answer, clock.seconds
 
 
