@@ -54,9 +54,7 @@ def measure_scores(planned: Plan) -> Plan:
             for key, one in SCORES.items():
                 found[key].append(_value(one, scores[one.solver]))
     quantities = tuple(
-        Quantity(
-            key, fmean(got), f"{SCORES[key].meaning}, +- {stdev(got):.2g} between them", size
-        )
+        Quantity(key, fmean(got), f"{SCORES[key].meaning}, +- {stdev(got):.2g} between them", size)
         for key, got in found.items()
     )
     kept = tuple(one for one in planned.sections if one.title != "expected scores")
