@@ -18,7 +18,8 @@ from hypothesis import given, strategies as st
 import sabench
 from sabench.dataset.reader import Dataset
 from sabench.interop import vtkhdf
-from sabench.interop.export import NAME, run_lengths, write_state
+from sabench.interop.coco import mask_pixels, run_lengths, score_detections
+from sabench.interop.export import NAME, write_state
 from sabench.interop.napari_reader import get_reader, read_layers
 from tests.conftest import ROOT
 from tests.helpers.bubble_scenes import small
@@ -87,24 +88,52 @@ def test_images_show_what_the_camera_recorded(data: Dataset, coco: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of pycocotools with numpy 2
-def test_pycocotools_reads_it(data: Dataset, coco: Path) -> None:
+@pytest.mark.parametrize("key", ["bbox", "segmentation"])
+def test_pycocotools_reads_it_and_scores_alike(
+    data: Dataset, coco: Path, tmp_path: Path, key: str
+) -> None:
     tools = pytest.importorskip("pycocotools.coco", reason="pycocotools is not installed")
     evaluation = pytest.importorskip("pycocotools.cocoeval")
+    mask, rng = pytest.importorskip("pycocotools.mask"), np.random.default_rng(3)
+    found, file, values = [], tmp_path / "found.json", {}
     with contextlib.redirect_stdout(io.StringIO()):
         true = tools.COCO(str(coco / "annotations.json"))
-        for one in true.loadAnns(true.getAnnIds(imgIds=[1])):
+        for one in true.loadAnns(true.getAnnIds()):
             row = data.bubbles(0).id.tolist().index(one["bubble"])
-            expected = data.sight(0, data.setup.cameras[0]).number == row
-            np.testing.assert_array_equal(true.annToMask(one) > 0, expected)
-        found = [
-            {"image_id": one["image_id"], "category_id": 1, "score": 0.9, "bbox": one["bbox"]}
-            for one in true.loadAnns(true.getAnnIds())
-        ]
-        judged = evaluation.COCOeval(true, true.loadRes(found), "bbox")
+            seen = data.sight(0, data.setup.cameras[one["image_id"] - 1]).number == row
+            np.testing.assert_array_equal(true.annToMask(one) > 0, seen)
+            runs = mask.encode(np.asfortranarray(np.roll(seen, rng.integers(-1, 2)), np.uint8))
+            values["segmentation"] = runs | {"counts": runs["counts"].decode()}
+            values["bbox"] = np.add(one["bbox"], rng.uniform(0.0, 1.0, 4)).tolist()
+            ids = {"image_id": one["image_id"], "category_id": 1, "score": rng.random()}
+            found.append(ids | {key: values[key]})
+        del found[::9]
+        file.write_text(json.dumps(found))
+        judged = evaluation.COCOeval(true, true.loadRes(found), key[:4])
         judged.evaluate()
         judged.accumulate()
         judged.summarize()
-    assert judged.stats[0] == pytest.approx(1.0)
+    assert 0.1 < judged.stats[0] < 0.9
+    scores = score_detections(data, file)
+    assert (scores["ap"], scores["ap_50"]) == pytest.approx(judged.stats[:2], abs=1e-9)
+
+
+@pytest.mark.slow
+def test_the_truth_scores_best(data: Dataset, coco: Path, tmp_path: Path) -> None:
+    values, file = json.loads((coco / "annotations.json").read_text()), tmp_path / "found.json"
+    for key in ("bbox", "segmentation"):
+        found = [{name: one[name] for name in ("image_id", "category_id", key)} | {"score": 1}
+                 for one in values["annotations"]]  # fmt: skip
+        found[0]["image_id"] = Path(values["images"][0]["file_name"]).stem
+        file.write_text(json.dumps(found))
+        scores = score_detections(data, file)
+        assert (scores["ap"], scores["f1"], scores["diameter_rms_px"]) == (1.0, 1.0, 0.0)
+    file.write_text(json.dumps([found[0] | {"image_id": 6}]))
+    with refused("image_id"):
+        score_detections(data, file)
+    corners = [[10.2, 20.2, 13.8, 20.2, 13.8, 25.8, 10.2, 25.8]]
+    expected = np.add.outer(128 * np.arange(10, 14), np.arange(20, 26)).ravel()
+    np.testing.assert_array_equal(mask_pixels("", corners, 128, 160), expected)
 
 
 def test_particles_alone_are_refused(data: Dataset, tmp_path: Path) -> None:
