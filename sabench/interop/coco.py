@@ -53,11 +53,10 @@ def write(root: Path, data: Dataset) -> None:
             light = (image - observation.black_dn) / (observation.white_dn - observation.black_dn)
             grey = np.rint(255.0 * np.clip(light, 0.0, 1.0)).astype(np.uint8)
             (root / name).write_bytes(cv2.imencode(".png", grey)[1].tobytes())
-            entry = {"id": len(images) + 1, "file_name": name}
-            images.append(entry | {"height": camera.rows, "width": camera.columns})
-            for annotation in _annotations(bubbles, data.sight(frame, camera)):
-                ids = {"id": len(annotations) + 1, "image_id": entry["id"]}
-                annotations.append(ids | annotation)
+            size = {"height": camera.rows, "width": camera.columns}
+            images.append({"id": len(images) + 1, "file_name": name} | size)
+            for one in _annotations(bubbles, data.sight(frame, camera)):
+                annotations.append({"id": len(annotations) + 1, "image_id": len(images)} | one)
     values = {"images": images, "annotations": annotations, "categories": [_CATEGORY]}
     (root / "annotations.json").write_text(canonical_json(values), encoding="utf-8")
 
@@ -113,24 +112,24 @@ def score_detections(dataset: Dataset | str | Path, detections: str | Path) -> d
     names, path = _names(data), Path(detections)
     found = validate(_Detections, read_json(path), str(path)).root
     key = "segmentation" if any(one.segmentation is not None for one in found) else "bbox"
-    rows = {name: row for row, stem in enumerate(names) for name in (row + 1, stem)}
+    rows = {key: row for row, name in enumerate(names) for key in (row + 1, name)}
     by_image: list[list[_Detection]] = [[] for _ in names]
     for number, one in enumerate(found):
         if one.image_id not in rows or getattr(one, key) is None:
             raise InputError(
-                f"{path}: {number}: expected a {key} and an image_id of 1 to "
-                f"{len(names)}, or {names[0]} to {names[-1]}, of {data.root}, got "
+                f"{path}: {number}: expected a {key} and an image_id of 1 to {len(names)}, or "
+                f"{names[0]} to {names[-1]}, of {data.root}, got "
                 f"{printable(repr(one.model_dump(include={'image_id', key})))}"
             )
         by_image[rows[one.image_id]].append(one)
     places = itertools.product(range(data.setup.frames), data.setup.cameras)
     parts, true = [], 0
-    for place, own in zip(places, progress_bar(by_image, "score"), strict=True):
+    for name, place, own in zip(names, places, progress_bar(by_image, "score"), strict=True):
         image, shapes = data.sight(*place).number, [getattr(one, key) for one in own]
         if key == "bbox":
             overlap, found_px, true_px = _compare_boxes(shapes, image)
         else:
-            masks = [mask_pixels(f"{path}: {key}", shape, *image.shape) for shape in shapes]
+            masks = [mask_pixels(f"{path}: {name}", shape, *image.shape) for shape in shapes]
             overlap, found_px, true_px = _compare_masks(masks, image)
         confidence = np.array([one.score for one in own])
         match = match_detections(confidence, overlap)
@@ -179,8 +178,8 @@ def mask_pixels(where: str, shape: Any, rows: int, columns: int) -> I64:
         return np.concatenate([ends[:0], *map(np.arange, ends[:-1:2], ends[1::2])])
     except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{where}: expected polygons [[x, y, x, y, x, y, ...], ...], or size and counts of "
-            f"{rows} x {columns} pixels, got {printable(repr(shape))}"
+            f"{where}: segmentation: expected polygons, or size and counts of {rows} x {columns} "
+            f"pixels, got {printable(repr(shape))}"
         ) from error
 
 

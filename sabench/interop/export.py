@@ -43,9 +43,7 @@ def write_state(root: Path, home: Path) -> None:
     (root / NAME).write_text(text, encoding="utf-8")
 
 
-Format = Literal[
-    "vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "npy", "csv", "coco"
-]
+Format = Literal["vtk", TrackFormat, "coco"]
 ProgramFormat = Literal["openptv", "myptv", "openlpt", "lpt-challenge"]
 _PROGRAMS: dict[str, ProgramFormat] = {name: name for name in get_args(ProgramFormat)}
 _GREY = "grey values are scaled to 8 bits, so that the peak of a bright particle has 160"

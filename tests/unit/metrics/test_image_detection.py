@@ -17,6 +17,6 @@ def test_precision_and_recall_are_those_of_pycocotools() -> None:
     figures = scores["ap"], scores["ap_50"], hits[:, 0].sum() / 82
     assert figures == pytest.approx((0.6210598890080208, 0.655770170380316, 65 / 82), abs=1e-9)
     assert (scores["diameter_bias_px"], scores["diameter_rms_px"]) == (-0.5, 12.5**0.5)
-    limits = [confidence >= limit for limit in confidence]
-    best = max(2.0 * hits[kept, 0].sum() / (kept.sum() + 82) for kept in limits)
+    kept = [hits[confidence >= limit, 0] for limit in confidence]
+    best = max(2.0 * some.sum() / (len(some) + 82) for some in kept)
     assert scores["f1_best"] == pytest.approx(best)
