@@ -195,7 +195,9 @@ def link_scores(
     off, speed, cover, squares = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for frames in sequences:
         for old, new in itertools.pairwise(frames):
-            i, j, k, m = _in_both(identity, matched, old, new)
+            (i, j), (k, m) = matched[old], matched[new]  # rows of those that are in both frames
+            _, a, b = np.intersect1d(identity[old][j], identity[new][m], return_indices=True)
+            i, j, k, m = i[a], j[a], k[b], m[b]
             good = trajectory[old][i] == trajectory[new][k]
             total, right = total + len(good), right + int(good.sum())
             links += len(np.intersect1d(trajectory[old], trajectory[new]))
@@ -218,15 +220,6 @@ def link_scores(
         float(np.sqrt(_mean(np.concatenate(squares)))),
     )
     return dict(zip(_KEYS, figures, strict=True))
-
-
-def _in_both(
-    identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], old: int, new: int
-) -> tuple[I64, I64, I64, I64]:
-    """Find rows of estimated and true objects in two frames for the same ones."""
-    (i, j), (k, m) = matched[old], matched[new]
-    _, first, second = np.intersect1d(identity[old][j], identity[new][m], return_indices=True)
-    return i[first], j[first], k[second], m[second]
 
 
 def _coverage(pairs: Sequence[tuple[I64, I64]], every: Sequence[I64]) -> F64:

@@ -18,12 +18,7 @@ from sabench import plugins
 from sabench.api import FoundParticles, Reconstruction
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result
-from sabench.metrics.averages import (
-    finite_or_none,
-    mean_of_each,
-    mean_of_finite,
-    root_mean_square,
-)
+from sabench.metrics.averages import finite_or_none, mean_of_each, mean_of_finite, root_mean_square
 from sabench.metrics.trajectories import jitter_mm, share_followed
 from sabench.plotting import pictures
 from sabench.plotting.card import Card

@@ -79,7 +79,8 @@ def test_images_show_what_the_camera_recorded(data: Dataset, coco: Path) -> None
     file = coco / json.loads((coco / "annotations.json").read_text())["images"][2]["file_name"]
     image = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
     raw = data.raw_image(2, 0).astype(np.float64)
-    assert (image.shape, image.dtype) == (raw.shape, np.uint8)
+    assert image.shape == raw.shape
+    assert image.dtype == np.uint8
     assert np.corrcoef(image.ravel(), raw.ravel())[0, 1] > 0.999
 
 
