@@ -101,10 +101,11 @@ _Detections = RootModel[list[_Detection]]
 
 
 def score_detections(dataset: Dataset | str | Path, detections: str | Path) -> dict[str, Any]:
-    """Score bubbles detected in camera images, a file of COCO's results; None without a value.
+    """Score bubbles detected in camera images; None where there is no value.
 
-    Each has image_id (as in `annotations.json`, or the image's name without .png), category_id,
-    score, and a segmentation (polygons or run lengths) or, if none has one, a bbox.
+    The file is one of COCO's results: image_id (as in `annotations.json`, or the image's name
+    without .png), category_id, score, and a segmentation (polygons or run lengths) or, if no
+    detection has one, a bbox.
 
     Raises InputError for a data set without true bubbles, or a file that is broken or not of it.
     """
@@ -142,7 +143,7 @@ def score_detections(dataset: Dataset | str | Path, detections: str | Path) -> d
 
 
 def _compare_boxes(boxes: list[Any], number: I32) -> tuple[F64, F64, F64]:
-    """Compute overlaps (n, m), and the diameters of ellipses in the boxes, found and true."""
+    """Compute overlaps (n, m), and diameters of ellipses in found and true boxes."""
     both = boxes, list(_boxes(number).values())
     found, true = (np.array(part, np.float64).reshape(-1, 2, 2) for part in both)
     low = np.maximum(found[:, None, 0], true[:, 0])
@@ -153,7 +154,7 @@ def _compare_boxes(boxes: list[Any], number: I32) -> tuple[F64, F64, F64]:
 
 
 def _compare_masks(masks: list[I64], number: I32) -> tuple[F64, F64, F64]:
-    """Compute the same of masks, each its pixels, and the diameters of circles of their areas."""
+    """Compute the same of masks, each its pixels, and circles of their areas."""
     label = np.maximum(number.ravel(order="F"), -1) + 1
     parts = (label, *(label[mask] for mask in masks))
     counts = np.stack([np.bincount(part, minlength=label.max() + 1)[1:] for part in parts])
@@ -164,7 +165,7 @@ def _compare_masks(masks: list[I64], number: I32) -> tuple[F64, F64, F64]:
 
 
 def mask_pixels(where: str, shape: Any, rows: int, columns: int) -> I64:
-    """List the pixels of a mask, counted down the columns; the first one's middle is 0.5, 0.5."""
+    """List a mask's pixels down the columns; the first one's middle is 0.5, 0.5."""
     try:
         if isinstance(shape, list):
             corners = [np.reshape(one, (-1, 2)).astype(np.float64) - 0.5 for one in shape]

@@ -19,7 +19,7 @@ def mean_of_finite(values: Iterable[float | None]) -> float | None:
 
 
 def mean_of_each(figures: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
-    """Average each figure of the frames or cameras that have it with `mean_of_finite`."""
+    """Average each figure with `mean_of_finite` over those that have it."""
     keys = dict.fromkeys(key for frame in figures for key in frame)
     return {key: mean_of_finite(frame.get(key) for frame in figures) for key in keys}
 

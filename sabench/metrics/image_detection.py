@@ -1,4 +1,4 @@
-"""Scores of detections in images as COCO defines them, without its limit of 100 in an image."""
+"""Scores of detections in images, as COCO defines them but for any number."""
 
 import numpy as np
 
@@ -10,10 +10,10 @@ _RECALLS = np.linspace(0.0, 1.0, 101)
 
 
 def match_detections(confidence: F64, overlap: F64) -> I64:
-    """Match detections (n,) of an image, the most confident first, to true objects that are left.
+    """Match the detections (n,) of an image, the most confident ones first.
 
-    `overlap` (n, m) is the intersection over union. Returns rows (n, 10) of true objects for each
-    of `OVERLAPS`; -1 without a match.
+    `overlap` (n, m) is the intersection over union with true objects, each of which has one match.
+    Returns their rows (n, 10) for each of `OVERLAPS`; -1 without a match.
     """
     match = np.full((len(confidence), len(OVERLAPS)), -1)
     taken = np.zeros((len(OVERLAPS), overlap.shape[1]), dtype=np.bool_)
