@@ -53,7 +53,9 @@ def score(
     result: Annotated[
         str,
         argument(
-            "RESULT", "A result file, or truth or empty for the best and worst possible scores."
+            "RESULT",
+            "A result file; truth or empty for the best and worst possible scores; or a .json of "
+            "bubbles detected in camera images (COCO's results).",
         ),
     ],
     task: Annotated[
@@ -69,9 +71,19 @@ def score(
     """Score a result against the truth."""
     from sabench.dataset.verification import probe, probe_dataset
     from sabench.tasks.solve_and_score import score as scores_of
+    from sabench.utils.number_text import significant
 
     options.announce_compiling()
     probe_dataset(dataset)
+    if result.endswith(".json"):
+        from sabench.interop.coco import score_detections
+
+        detected = score_detections(dataset, result)
+        if as_json:
+            say_json(detected)
+        else:
+            say("\n".join(f"{key:<18}{significant(value)}" for key, value in detected.items()))
+        return
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
     scores = scores_of(dataset, result, task)

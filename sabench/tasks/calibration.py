@@ -230,9 +230,8 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
         visible = valid & camera.contains(projected)
         noise = noise_px * rng.standard_normal((int(visible.sum()), 2))
         pixels[number, visible] = projected[visible] + noise
-    held_out = points_mm, pixels
-    others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
-    return scores | others
+    cameras = answer.cameras, data.true_cameras
+    return scores | held_out_scores(*cameras, points_mm, pixels, motion, aligned)
 
 
 @contextlib.contextmanager
