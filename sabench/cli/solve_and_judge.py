@@ -76,7 +76,7 @@ def score(
     options.announce_compiling()
     probe_dataset(dataset)
     if result.endswith(".json"):
-        from sabench.interop.coco import score_detections
+        from sabench.apps.detections import score_detections
 
         detected = score_detections(dataset, result)
         if as_json:

@@ -153,7 +153,7 @@ def density_key(scene: Scene) -> str:
 MODEL = Path(__file__).with_name("expected_scores.json")
 GHOST_FLOOR = 0.01  # ghosts per particle that count as none
 _COST = 0.02  # of Q
-_EDGE = 0.05  # relative: so little outside of the range is inside
+EDGE = 0.05  # relative: so little outside of the range is inside
 _LEAST = 0.005  # distance of scores from 0 and 1 for the logit
 
 _Values = Mapping[str, float]
@@ -344,7 +344,7 @@ def _outside(model: ScoreModel, features: F64) -> list[str]:
     """
     outside = []
     for name, value, low, high in zip(FEATURES, features, model.low, model.high, strict=True):
-        below, above = value < low * (1.0 - _EDGE), value > high * (1.0 + _EDGE)
+        below, above = value < low * (1.0 - EDGE), value > high * (1.0 + EDGE)
         if below or (above and name != "peak_snr"):
             outside.append(f"{name} is {value:.3g} (measured: {low:.3g} to {high:.3g})")
     return outside

@@ -4,6 +4,7 @@ The twin keeps cameras, walls, light and density. Its images and its volume acro
 sight are smaller, as far as the figures that scores depend on stay the same.
 """
 
+import contextlib
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.apps.planning.expected_scores import SCORES, ExpectedScore, feature_values
+from sabench.apps.planning.expected_scores import EDGE, SCORES, ExpectedScore, feature_values
 from sabench.apps.planning.plan import Plan, plan
 from sabench.apps.planning.viewing import Quantity, Section
 from sabench.scenes import Scene, parse_scene
@@ -24,9 +25,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.progress import say
 
 _DRAWS = 3  # data sets, each with other particles, noise and calibration errors
-_SHARES = (0.2, 0.3, 0.45, 0.67)  # of rows, columns and width
-_LEAST_PX = 100  # rows: fewer show too few particles
-_ALIKE = 0.1  # relative difference of figures
+_LEAST_PX = 100  # rows or columns: fewer show too few particles
 
 
 def measure_scores(planned: Plan) -> Plan:
@@ -71,7 +70,8 @@ def _value(expected: ExpectedScore, scores: Mapping[str, Any]) -> float:
 def _reduce(planned: Plan, wanted: F64) -> Scene:
     """Find the smallest twin whose figures are those of the scene; else return the scene."""
     scene, axis = planned.scene.with_frames(1), planned.viewing.axis
-    for share in _SHARES:
+    share = _LEAST_PX / min(scene.cameras.rows, scene.cameras.columns)
+    while share < 1.0:
         values = scene.to_dict()
         for key in ("rows", "columns"):
             values["cameras"][key] = round(share * values["cameras"][key])
@@ -80,12 +80,10 @@ def _reduce(planned: Plan, wanted: F64) -> Scene:
         values["volume"]["size_mm"] = size
         if "count" in values["particles"]:
             values["particles"]["count"] = round(values["particles"]["count"] * share**2)
-        try:
+        with contextlib.suppress(InputError):  # margins may not fit into a small volume
             twin = parse_scene(values, scene.title)
             got = feature_values(plan(twin).sections)
-        except InputError:
-            continue  # margins or cameras of their own that do not fit a smaller volume
-        large = min(twin.cameras.rows, twin.cameras.columns) >= _LEAST_PX
-        if large and got is not None and np.allclose(got, wanted, rtol=_ALIKE, atol=0.1 * _ALIKE):
-            return twin
+            if got is not None and np.allclose(got, wanted, rtol=2.0 * EDGE, atol=EDGE):
+                return twin
+        share *= 1.5
     return scene

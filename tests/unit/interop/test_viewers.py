@@ -16,9 +16,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 import sabench
+from sabench.apps.detections import mask_pixels, score_detections
 from sabench.dataset.reader import Dataset
 from sabench.interop import vtkhdf
-from sabench.interop.coco import mask_pixels, run_lengths, score_detections
+from sabench.interop.coco import run_lengths
 from sabench.interop.export import NAME, write_state
 from sabench.interop.napari_reader import get_reader, read_layers
 from tests.conftest import ROOT

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sabench.metrics.image_detection import image_detection_scores, match_detections
+from sabench.apps.detections import image_detection_scores, match_detections
 
 
 def test_precision_and_recall_are_those_of_pycocotools() -> None:
