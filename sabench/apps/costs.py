@@ -49,7 +49,7 @@ from sabench.utils.processes.call import call_isolated
 from sabench.utils.progress import say
 
 _TRIAL_S = 2.0  # of a measurement, until which it goes on with larger images
-_NOTICE_S, _NOTICE_BYTES = 60.0, 1e9
+_NOTICE_S, _NOTICE_BYTES, _SMALL_PX = 60.0, 1e9, 5e6
 _STORED = ("disk", "results")  # costs of data and results that a suite may delete
 
 
@@ -129,7 +129,7 @@ def cost_of_generation(
     """
     label, renderer = scene.title, renderer_of(scene, backend, scene.title)
     pixels = scene.frames * _count_pixels(build_rig(scene, label))
-    if not exact and pixels < (5e6 if isinstance(scene.world, ParticleWorld) else 1e5):
+    if not exact and pixels < (_SMALL_PX if isinstance(scene.world, ParticleWorld) else 1e5):
         return Costs()
     recorder, start = recorder_of(scene, seed, renderer, label), time.perf_counter()
     entries = recorder.frame(0, lambda frame: Part({}))
@@ -204,7 +204,7 @@ def cost_of_samples(
     contents = {key: kept[key] for key in ("truth", "compression") if key in kept}
     seed, backend = common["seed"], common["backend"]
     pixels = scene.frames * _count_pixels(build_rig(scene, scene.title))
-    if not exact and samples * pixels < 5e6:
+    if not exact and samples * pixels < _SMALL_PX:
         return Costs()
     renderer = choose_renderer("splat" if backend == "auto" else backend)
     maker, times = SampleMaker(scene, seed, renderer), [time.perf_counter()]
@@ -243,7 +243,7 @@ def cost_of_solving(
     own = [one for one in own if all(one[key] == head[key] for key in ("solver", "parameters"))]
     fitting, ratio = [one for one in own if one["scene_hash"] == head["scene_hash"]], 1.0
     if not fitting:
-        for name in {one["scene"] for one in own} & set(plugins.list_scenes()):
+        for name in sorted({one["scene"] for one in own} & set(plugins.list_scenes())):
             scene = load_scene(name)
             if fitting := [one for one in own if one["scene_hash"] == scene.hash]:
                 sizes = (
@@ -267,14 +267,19 @@ def _measure_reference() -> tuple[float, float]:
     return time.perf_counter() - start, reference
 
 
-def cost_of_solve(solver: str, dataset: Path, parameters: dict[str, Any]) -> Costs:
-    """Estimate the costs of `solve`; unknown for programs, and without a record."""
+def cost_of_solve(solver: str, dataset: Path, parameters: dict[str, Any], *, exact: bool) -> Costs:
+    """Estimate the costs of `solve`; unknown for programs, and without a record.
+
+    Unless `exact`, small data sets cost nothing.
+    """
     data = open_dataset(dataset)
+    if not exact and data.setup.frames * _count_pixels(data.setup) < _SMALL_PX:
+        return Costs()
     if is_program(solver):
         return Costs(0.0, None, unknown=True)
     task, given = describe_solver(solver, parameters)
     head: Record = {"solver": solver, "task": task, "parameters": given}
-    head["scene_hash"] = getattr(data.manifest, "scene_hash", None)
+    head["scene_hash"] = getattr(data.contents, "scene_hash", None)
     return cost_of_solving(_records(), head, data.setup, data.setup.frames)
 
 

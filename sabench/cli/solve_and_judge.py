@@ -40,7 +40,7 @@ def solve(
     options.announce_compiling()
     probe_dataset(dataset)
     given, limits = options.parse_parameters(parameter), limits_of(time_limit, memory_limit)
-    announce(cost_of_solve(solver, dataset, given), output, dry_run=dry_run)
+    announce(cost_of_solve(solver, dataset, given, exact=dry_run), output, dry_run=dry_run)
     result = run_solver(
         solver, dataset, output, parameters=given, limits=limits, overwrite=overwrite
     )

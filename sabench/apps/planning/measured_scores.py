@@ -24,12 +24,13 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import say
 
-_DRAWS = 3  # data sets, each with other particles, noise and calibration errors
 _LEAST_PX = 100  # rows or columns: fewer show too few particles
 
 
-def measure_scores(planned: Plan) -> Plan:
+def measure_scores(planned: Plan, draws: int = 3) -> Plan:
     """Replace the expected scores of a plan by measured ones.
+
+    `draws` data sets differ in particles, noise and calibration errors.
 
     Raises
     ------
@@ -40,11 +41,11 @@ def measure_scores(planned: Plan) -> Plan:
     if figures is None:
         raise InputError(f"{planned.scene.title}: expected a scene with lit particles to measure")
     twin = _reduce(planned, figures)
-    size = f"{_DRAWS} data sets of {twin.cameras.columns} x {twin.cameras.rows} px"
+    size = f"{draws} data sets of {twin.cameras.columns} x {twin.cameras.rows} px"
     say(f"measure scores on {size}")
     found: dict[str, list[float]] = {key: [] for key in SCORES}
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(_DRAWS):
+        for seed in range(draws):
             data = generate(twin, Path(folder) / f"{seed}", seed=seed)
             scores = {
                 name: score(data, solve(name, data, Path(folder) / f"{name}-{seed}.h5").path)
