@@ -339,7 +339,7 @@ def cost_of_suite(
 def cost_of_reproduction(
     names: Sequence[str], seeds: int | None, pixels: int | None, *, exact: bool
 ) -> Costs:
-    """Estimate the time of `reproduce` from that of a seed, which the catalogue states.
+    """Estimate the time of `reproduce` from that of a seed, which is stated.
 
     Unless `exact`, a trial on small images costs nothing; the time of one is unknown.
     """

@@ -1,4 +1,6 @@
-"""Scores of bubbles detected in camera images, as COCO defines them but for any number.
+"""Scores of bubbles detected in camera images, as COCO defines them.
+
+There may be any number of detections in an image.
 
 Source: https://cocodataset.org/#detection-eval
 """

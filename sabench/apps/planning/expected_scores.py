@@ -251,7 +251,9 @@ class ScoreModel:
     widening: Mapping[str, float]
 
     def predict(self, key: str, features: F64) -> tuple[F64, F64]:
-        """Predict a score (n,) of one data set of features (n, feature), and its standard error.
+        """Predict a score (n,) of features (n, feature), and its standard error.
+
+        Both are those of a single data set.
 
         Features are clipped to the fitted range.
         """

@@ -1,4 +1,4 @@
-"""Scores that solvers reach on a reduced twin of a scene, in place of expected ones.
+"""Scores that solvers reach on a reduced twin of a scene.
 
 The twin keeps cameras, walls, light and density. Its images and its volume across the lines of
 sight are smaller, as far as the figures that scores depend on stay the same.
@@ -69,7 +69,7 @@ def _value(expected: ExpectedScore, scores: Mapping[str, Any]) -> float:
 
 
 def _reduce(planned: Plan, wanted: F64) -> Scene:
-    """Find the smallest twin whose figures are those of the scene; else return the scene."""
+    """Find the smallest twin with the figures of the scene; else return the scene."""
     scene, axis = planned.scene.with_frames(1), planned.viewing.axis
     share = _LEAST_PX / min(scene.cameras.rows, scene.cameras.columns)
     while share < 1.0:
