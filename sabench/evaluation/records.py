@@ -154,15 +154,11 @@ def latest(records: list[Record]) -> list[Record]:
     """
     selected: dict[str, Record] = {}
     for record in records:
-        key = run_key(record)
-        if key not in selected or _replaces(record, selected[key]):
-            selected[key] = record
+        other = selected.setdefault(run_key(record), record)
+        newer = (record.get("date") or "") >= (other.get("date") or "")
+        if newer and not record.get("submission"):
+            selected[run_key(record)] = record
     return list(selected.values())
-
-
-def _replaces(record: Record, other: Record) -> bool:
-    newer = (record.get("date") or "") >= (other.get("date") or "")
-    return newer and not record.get("submission")
 
 
 def now() -> str:

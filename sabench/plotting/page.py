@@ -47,7 +47,10 @@ def inline_code(
         "script": escape_code(f"(() => {{\n{parts}}})();"),
         "library": library,
     }
-    hashes = {name: Markup(_hash(text)) for name, text in texts.items()}
+    digests = {name: hashlib.sha256(text.encode()).digest() for name, text in texts.items()}
+    hashes = {
+        name: Markup(f"'sha256-{base64.b64encode(one).decode()}'") for name, one in digests.items()
+    }
     return {name: Markup(text) for name, text in texts.items()} | {"hashes": hashes}
 
 
@@ -62,7 +65,3 @@ def escape_code(text: str) -> str:
     return re.sub(
         r"<(?=/script|/style|!--)", r"<\\", text.replace("\r\n", "\n"), flags=re.IGNORECASE
     )
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

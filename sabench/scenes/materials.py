@@ -107,13 +107,13 @@ def water_in_vacuum(micrometre: float, celsius: float, density: float) -> float:
     return math.sqrt((1.0 + 2.0 * lorentz) / (1.0 - lorentz))
 
 
-def _water(micrometre: float, celsius: float) -> float:
-    return water_in_vacuum(micrometre, celsius, _density(celsius)) / _air(micrometre)
-
-
 MEDIA = {
     "air": Medium((230.0, 1690.0), lambda micrometre, celsius: 1.0, "by definition"),
-    "water": Medium((200.0, 1100.0), _water, "IAPWS R9-97; Kell (1975)"),
+    "water": Medium(
+        (200.0, 1100.0),
+        lambda um, celsius: water_in_vacuum(um, celsius, _density(celsius)) / _air(um),
+        "IAPWS R9-97; Kell (1975)",
+    ),
     "BK7": Medium(
         (300.0, 2500.0),
         _sellmeier(

@@ -5,6 +5,7 @@ Standard output is left to results.
 
 import contextlib
 import functools
+import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sized
 from datetime import timedelta
@@ -60,11 +61,29 @@ def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
 
 
 @contextlib.contextmanager
-def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
+def bar(doing: str, total: int) -> Iterator[Callable[..., None]]:
     """Show a bar for work in any order; call the yielded function once per item."""
     with _progress(refresh=True) as progress:
         task = progress.add_task(doing, total=total)
-        yield lambda: progress.advance(task)
+
+        def show(share: float = 1.0) -> None:
+            now = progress.tasks[0].completed
+            progress.update(task, completed=max(now, math.floor(now) + share))
+
+        _shown.append(show)
+        try:
+            yield show
+        finally:
+            _shown.remove(show)
+
+
+_shown: list[Callable[[float], None]] = []
+
+
+def report_share(share: float) -> None:
+    """Move the bar of this process, if there is one, to a share of its current item."""
+    for show in _shown:
+        show(min(share, 0.99))
 
 
 class _LeftColumn(ProgressColumn):

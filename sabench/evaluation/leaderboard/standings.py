@@ -400,18 +400,14 @@ def _names(rows: Sequence[Record]) -> list[str]:
     names = []
     for name, row in zip(shown, rows, strict=True):
         others = [row["parameters"] for text, row in zip(shown, rows, strict=True) if text == name]
-        more = _difference(row["parameters"], others) if counts[name] > 1 else ""
+        differ = {
+            key: value
+            for key, value in row["parameters"].items()
+            if len({json.dumps(other.get(key), sort_keys=True) for other in others}) > 1
+        }
+        more = text_of(differ) if counts[name] > 1 else ""
         names.append(f"{name} ({more})" if more else name)
     return names
-
-
-def _difference(parameters: Record, all_: Sequence[Record]) -> str:
-    differ = {
-        key: value
-        for key, value in parameters.items()
-        if len({json.dumps(other.get(key), sort_keys=True) for other in all_}) > 1
-    }
-    return text_of(differ)
 
 
 def _static(boards: Sequence[Board]) -> Iterator[dict[str, Any]]:

@@ -84,7 +84,7 @@ def recognise(record: Record, known: Sequence[Record]) -> str | None:
         and not earlier.get("same_estimates_as")
     ]
     other = all(_is_other(earlier, record) for earlier in first)
-    return _entry(first[0]) if first and other else None
+    return entry_name(first[0]) if first and other else None
 
 
 def _is_other(earlier: Record, record: Record) -> bool:
@@ -92,11 +92,6 @@ def _is_other(earlier: Record, record: Record) -> bool:
         return True
     sender = (earlier.get("submission") or {}).get("name")
     return sender not in (None, record["submission"]["name"])
-
-
-def _entry(record: Record) -> str:
-    who = f" of {record['submission']['name']}" if record.get("submission") else ""
-    return printable(f"{record['solver']}{who}", 200)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from sabench.simulation.rendering.bubble_stage import Lights, Stager, Tank
 from sabench.simulation.rendering.particle_images import ParticleImages, diffract
 from sabench.utils.arrays import F64, I64, Bool, in_portions
 from sabench.utils.compiled import numba
+from sabench.utils.progress import report_share
 
 # lattices of a pixel, whose passes take turns: the scatter of their means is the error
 STREAMS = 4
@@ -225,14 +226,16 @@ def render(
     delays = exposure_s * ((np.arange(moments) + 0.5) / moments - 0.5)
     everywhere = np.ones((camera.rows, camera.columns), dtype=np.bool_)
     tally = PassTally(everywhere if counted is None else counted)
-    more = np.full(tally.count.size, STREAMS)
+    more, needed = np.full(tally.count.size, STREAMS), math.inf
     while more.any():
         chosen = np.flatnonzero(more)
         for part in in_portions(more[chosen], AT_ONCE):  # memory does not grow with the image
             some = chosen[part]
             each = some, tally.count[some], more[some]
             tally.add(some, more[some], _passes(stage_of, camera, *each, delays, seed))
+            report_share(tally.count.sum() / needed)
         off = tally.errors(floor)
+        needed = tally.count.sum() * max((tally.mean_error(off) / error) ** 2, 1.0)
         more = tally.wanted(off, error) - tally.count
     photons = tally.mean.reshape(scale.shape) * scale
     wavelength = next(

@@ -40,3 +40,15 @@ def test_the_kernels_of_each_bundled_solver_are_counted() -> None:
     counts = json.loads(Path(tasks.__file__).with_name("kernels.json").read_text("utf-8"))
     declined = {"openlpt", "optv", "ddpiv", "mte_mart"}  # which have no small example here
     assert set(plugins.list_solvers()) - declined <= set(counts)
+
+
+def test_shares_of_an_item_move_the_bar_forwards_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = progress._progress(refresh=False)
+    monkeypatch.setattr(progress, "_progress", lambda **keys: shown)
+    seen = []
+    with progress.bar("render", 3) as advance:
+        for share in (1.0, 0.5, 0.2, 1.0):
+            advance() if share == 1.0 else progress.report_share(share)
+            seen.append(shown.tasks[0].completed)
+    assert seen == [1.0, 1.5, 1.5, 2.0]
+    progress.report_share(0.5)  # there is no bar
