@@ -57,7 +57,7 @@ code { background: var(--shade); padding: 0 0.2em; }
 .legend svg { vertical-align: middle; } .legend span { margin-right: 1.4em; }
 </style>
 </head>
-<body>
+<body><main>
 <h1>{{ title }}</h1>
 <h2>Warnings</h2>
 {% if advice %}
@@ -96,7 +96,7 @@ code { background: var(--shade); padding: 0 0.2em; }
 {% endfor %}
 <p>Numbers in brackets are equations of J. Belden, Synthetic Aperture Imaging for Three Dimensional
 Resolution of Fluid Flows, MIT.</p>
-</body>
+</main></body>
 </html>
 """
 
