@@ -1,6 +1,7 @@
 """Q, F1 and ghosts of random small scenes, and the planner's model fitted to them.
 
     python benchmarks/planner.py measure [--scenes 700] [--output benchmarks/records/planner.json]
+    python benchmarks/planner.py figures [--output benchmarks/records/planner.json]
     python benchmarks/planner.py fit [--output benchmarks/records/planner.json]
 
 `measure` draws scenes of 120 x 160 pixels in plain air and behind glass, with 3 to 25 cameras, 0.01
@@ -8,7 +9,8 @@ to 0.15 particles per pixel, 1.5 to 12 mm deep, and solves them by `msa`, `mlos_
 `ray_triangulation`, and every third one by `bayesian_ipr`. Volumes are scored in several draws of
 particles, noise and calibration errors, eight in the first 280 scenes and three in the others: Q
 and F1 are means, ghosts geometric means, because those of `msa` differ by factors between draws.
-What the record holds of other numbers stays. `fit` fits all scenes but numbers 220 to 279, writes
+What the record holds of other numbers stays. `figures` computes the figures of all its scenes
+again, for a model of other figures. `fit` fits all scenes but numbers 220 to 279, writes
 `sabench/apps/planning/expected_scores.json`, and prints the errors on 240 to 279. The 20
 before them guided the choice of the model, and count for neither.
 """
@@ -22,6 +24,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from scipy.optimize import minimize
@@ -107,9 +110,14 @@ def _expose(values: dict[str, Any], electrons: float) -> Scene:
 
 
 def figures_of(scene: Scene) -> dict[str, float]:
-    """Return all figures of a scene's plan."""
-    figures = plan(scene).to_dict()["figures"]
+    """Return all figures of a scene's plan but expected scores: the model may need new figures."""
+    with patch("sabench.apps.planning.plan.plan_scores", return_value=None):
+        figures = plan(scene).to_dict()["figures"]
     return {key: one["value"] for key, one in figures.items() if one["value"] is not None}
+
+
+def _features(scene: Scene) -> list[float]:
+    return _rounded(model.features_of(figures_of(scene)))
 
 
 def measure(scene: Scene, number: int) -> dict[str, Any]:
@@ -152,10 +160,14 @@ def fit(record: dict[str, Any]) -> dict[str, Any]:
             key: [None if np.isnan(value) else round(value, 5) for value in _scores(fitted, score)]
             for key, score in model.SCORES.items()
         },
+        "widening": dict.fromkeys(model.SCORES, 1.0),
         "kernels": {key: _kernel(_START) for key in model.SCORES},
     }
     for key, process in model.read_model(stored).processes.items():
-        stored["kernels"][key] = _kernel(_most_likely(process))
+        likely = _most_likely(process)
+        stored["kernels"][key] = _kernel(likely)
+        process = replace(process, kernel=_as_kernel(likely))
+        stored["widening"][key] = round(_widening(fitted, model.SCORES[key], process), 4)
     return stored
 
 
@@ -166,13 +178,23 @@ _PRIOR = (np.log(3.0), 0.2)  # weak: of the logarithm of the lengths, mean and i
 def _most_likely(process: GaussianProcess) -> F64:
     """Find the logarithms of lengths, amplitude, slope and noise that fit best."""
 
-    def surprise(numbers: F64) -> float:
+    def surprise(numbers: F64) -> tuple[float, F64]:
+        """Compute the surprise with its prior, and the gradient: equation 5.9."""
         own = replace(process, kernel=_as_kernel(numbers))
+        near = _as_kernel(np.array([*numbers[:-2], -np.inf, -np.inf]))(own.points, own.points)
+        linear = own.kernel.slope**2 * (1.0 + own.points @ own.points.T)
+        inverse, weights = own._inverse, own._weights
+        pull = inverse - np.outer(weights, weights)
+        drawn, points = pull * near, own.points / own.kernel.lengths
+        shares = drawn.sum(axis=1) @ points**2 - np.sum(points * (drawn @ points), axis=0)
+        noise = own.kernel.noise**2 * np.trace(pull)
         mean, weight = _PRIOR
-        return own.surprise() + 0.5 * float(np.sum((weight * (numbers[:-3] - mean)) ** 2))
+        off = weight**2 * (numbers[:-3] - mean)
+        value = own.surprise() + 0.5 * float(off @ (numbers[:-3] - mean))
+        return value, np.array([*(shares + off), drawn.sum(), np.sum(pull * linear), noise])
 
     bounds = [*[(-1.5, 5.0)] * len(model.FEATURES), (-3.0, 2.0), (-5.0, 2.0), (-3.5, 0.5)]
-    found: F64 = minimize(surprise, _START, method="L-BFGS-B", bounds=bounds).x
+    found: F64 = minimize(surprise, _START, jac=True, method="L-BFGS-B", bounds=bounds).x
     return found
 
 
@@ -197,6 +219,22 @@ def _scores(scenes: Sequence[dict[str, Any]], score: model.ExpectedScore) -> F64
     Ghosts are per true particle, and their mean is the geometric one.
     """
     return np.array([_mean(score.score, _draws(one, score)) for one in scenes])
+
+
+def _widening(
+    scenes: Sequence[dict[str, Any]], score: model.ExpectedScore, process: GaussianProcess
+) -> float:
+    """Compute the factor of errors with which 68 % of single data sets are within them.
+
+    Each scene is predicted from the others.
+    """
+    drawn = [draws for one in scenes if len(draws := _draws(one, score))]
+    deviations = 1.0 / np.sqrt(np.diag(process._inverse))
+    off = [
+        np.abs(model.link_function(score.score, draws) - mean) / deviation
+        for draws, mean, deviation in zip(drawn, process.left_out(), deviations, strict=True)
+    ]
+    return float(np.quantile(np.concatenate(off), 0.683))
 
 
 def _draws(scene: dict[str, Any], score: model.ExpectedScore) -> F64:
@@ -241,9 +279,9 @@ def _compare(score: model.ExpectedScore, measured: F64, expected: F64) -> str:
 
 
 def main() -> None:
-    """Measure scenes, or fit what was measured."""
+    """Measure scenes, compute their figures again, or fit what was measured."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("measure", "fit"))
+    parser.add_argument("what", choices=("measure", "figures", "fit"))
     parser.add_argument("--scenes", type=int, default=700)
     parser.add_argument("--output", type=Path, default=RECORD)
     chosen = parser.parse_args()
@@ -252,12 +290,16 @@ def main() -> None:
         model.MODEL.write_text(json.dumps(fit(record)) + "\n", encoding="utf-8")
         report(record)
         return
+    if chosen.what == "figures":
+        for key, one in record.items():
+            one["features"] = _features(draw_scene(int(key)))
+        chosen.output.write_text(json.dumps(record) + "\n", encoding="utf-8")
+        return
     for number in range(chosen.scenes):
         if str(number) in record:
             continue
         scene = draw_scene(number)
-        features = _rounded(model.features_of(figures_of(scene)))
-        record[str(number)] = {"features": features, "scores": measure(scene, number)}
+        record[str(number)] = {"features": _features(scene), "scores": measure(scene, number)}
         chosen.output.write_text(json.dumps(record) + "\n", encoding="utf-8")
         used = resource.getrusage(resource.RUSAGE_SELF)
         print(number, record[str(number)]["scores"], f"{used.ru_utime:.0f} s", flush=True)

@@ -36,6 +36,19 @@ function meanOf(values) {
   return [mean, quantile * Math.sqrt(squares / (count - 1) / count)];
 }
 
+// A text with a mark of its colour before the first of each of the words found, missed, ghost and duplicate.
+function keyed(text) {
+  const seen = new Set();
+  return text.split(/\b(?=(?:found|missed|ghost|duplicate):)/i).flatMap(part => {
+    const kind = part.match(/^\w+(?=:)/)?.[0].toLowerCase();
+    if (!Object.hasOwn(data.kinds, kind ?? "") || seen.has(kind)) return [part];
+    const mark = make("span", { class: "kind", "aria-hidden": "true" });
+    mark.style.background = data.kinds[kind];
+    seen.add(kind);
+    return [make("span", { class: "key" }, mark, part.slice(0, kind.length)), part.slice(kind.length)];
+  });
+}
+
 function selector(label, value, options, change) {
   const own = make("select", { change: event => change(event.target.value) });
   for (const [key, text] of options) own.append(make("option", { value: key, selected: key === value }, text));

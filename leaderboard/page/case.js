@@ -11,11 +11,24 @@ function albumOf(own) {
 }
 
 function image(text, alternative) {
-  return make("img", { src: text, alt: alternative });
+  // small figures are enlarged in blocks, large ones are reduced smoothly
+  return make("img", { src: text, alt: alternative, load: ({ target }) => target.classList.toggle("crisp", target.naturalWidth < target.clientWidth) });
 }
 
-function figure(text, alternative, ...caption) {
-  return make("figure", {}, image(text, alternative), make("figcaption", {}, ...caption));
+function isLit() {
+  const { wide, errors } = data.tasks[state.task].pictured;
+  return !wide && errors.startsWith("Found:");
+}
+
+// A figure of a task; found, missed and ghost particles on black are brightened.
+function picture(kind, text, alternative) {
+  const one = image(text, alternative);
+  one.classList.toggle("lit", kind === "error" && isLit());
+  return one;
+}
+
+function figure(shown_, ...caption) {
+  return make("figure", {}, shown_, make("figcaption", {}, ...caption));
 }
 
 function caseView() {
@@ -28,26 +41,60 @@ function caseView() {
     make("h2", { tabindex: "-1" }, own.name), own.recorded ? make("p", {}, make("span", { class: "chip" }, "recorded, no truth"), ` ${data.tasks[state.task].gate}`) : null,
     own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
     make("p", { class: "quiet" }, listed(facts.filter(Boolean))),
-    ...tableView(rows), ...viewer(rows, own), ...gallery(rows, own), ...comparison(rows, own), ...toleranceOf(rows),
+    ...tableView(rows), unmeasuredNote(rows, "in this case"), ...gallery(rows, own), ...viewer(rows, own), ...comparison(rows, own), ...toleranceOf(rows),
     make("h3", {}, "Accuracy against time"), timePlot(rows, firstKnown(rows), own),
   ].filter(Boolean);
 }
 
+const REDUCED = " Bundled records keep reduced pictures; small ones are enlarged here without smoothing.";
+
+const LIT = " The page brightens these colours.";
+
+function reduced(texts) {
+  return texts.some(text => text?.startsWith("data:image/webp")) ? REDUCED : "";
+}
+
+// All figures of the case: what all solvers share once, then one of each solver under its name.
 function gallery(rows, own) {
-  const { heading: title, text, wide, cameras } = data.tasks[state.task].pictured, album = albumOf(own);
-  const out = [];
+  const { heading: title, estimates: text, wide, cameras, errors } = data.tasks[state.task].pictured, album = albumOf(own);
+  const shots = figuresOf(rows, own), of = kind => shots.filter(([key]) => key.startsWith(kind));
+  const grid = found => make("div", { class: wide ? "row wide" : "row" }, found.map(([key, name, own_, row]) => figure(picture(key.split(":")[0], own_, name), make("b", {}, row ? titleOf(row, rows) : name), row && scoreBeside(row))));
+  const out = [], estimates = [...of("truth"), ...of("row")], maps = of("error"), left = rows.filter(row => album[`left${row.place}`]);
   if (album.images) out.push(make("h3", {}, "Camera images"), make("div", { class: "cameras" },
-    figure(album.images, `Camera images: ${own.name}`, make("span", { class: "quiet" }, cameras))));
-  const left = rows.filter(row => album[`left${row.place}`]);
-  if (left.length) out.push(make("h3", {}, "Residual images"), make("p", { class: "quiet" }, "The middle camera's first image, and what the particles of each solver leave of it."),
-    make("div", { class: "row wide" }, left.map(row => figure(album[`left${row.place}`], `Residual image: ${titleOf(row, rows)}`, make("b", {}, titleOf(row, rows))))));
-  const shots = figuresOf(rows, own);
-  if (shots.length === 1) out.push(make("h3", {}, title), make("p", { class: "quiet" }, text), make("div", { class: wide ? "row wide" : "row" },
-    shots.map(([, name, own_]) => figure(own_, `${title}: ${name}`, make("b", {}, name)))));
-  const fewer = shots.length || album.images ? "" : "This page has no pictures of this case.";
-  if (fewer) out.push(make("p", { class: "quiet" }, fewer));
+    figure(image(album.images, `Camera images: ${own.name}`), make("span", { class: "quiet" }, cameras))));
+  if (maps.length) out.push(make("h3", {}, own.recorded ? "Residuals" : "Errors"), make("p", { class: "quiet" }, keyed(errors), isLit() ? LIT : "", reduced(maps.map(one => one[2]))), grid([...of("truth"), ...maps]));
+  if (estimates.length) out.push(make("h3", {}, title), make("p", { class: "quiet" }, text, reduced(estimates.map(one => one[2]))), grid(estimates));
+  if (left.length) out.push(make("h3", {}, "Residual images"), make("p", { class: "quiet" }, "The middle camera's first image, and what the particles of each solver leave of it."), residuals(left, album, rows));
+  if (!out.length) out.push(make("p", { class: "quiet" }, "This page has no pictures of this case."));
   if (data.leftOut) out.push(make("p", { class: "quiet" }, `To keep the page small, ${data.leftOut} pictures of all cases are not in it: those of the lowest ranks.`));
   return out;
+}
+
+function scoreBeside(row) {
+  const column = firstColumn();
+  return row.scores[0] ? make("span", { class: "quiet few" }, `${column.heading} ${shown(row.scores[0], column.decimals)}`) : null;
+}
+
+// The camera's image is the upper part of every figure: it is shown once.
+function residuals(left, album, rows) {
+  const part = (row, name, below) => {
+    const both = image(album[`left${row.place}`], name), box = make("div", { class: below ? "half below" : "half" }, both);
+    both.addEventListener("load", () => { const gap = gapOf(both); if (gap) box.style.aspectRatio = `${both.naturalWidth} / ${gap}`; else box.classList.remove("half"); });
+    return figure(box, make("b", {}, name), below ? scoreBeside(row) : null);
+  };
+  return make("div", { class: "row" }, part(left[0], "camera image", false), left.map(row => part(row, titleOf(row, rows), true)));
+}
+
+// The first row of the grey line between two images that lie on top of each other; 0 without one.
+function gapOf(both) {
+  const { naturalWidth: width, naturalHeight: height } = both, middle = Math.floor(height / 2);
+  const canvas = make("canvas", { width, height }), context = canvas.getContext("2d", { willReadFrequently: true });
+  context.drawImage(both, 0, 0);
+  const grey = row => context.getImageData(0, row, width, 1).data.every(value => value > 130);
+  let row = middle;
+  if (!grey(row)) return 0;
+  while (row > 0 && grey(row - 1)) row -= 1;
+  return row;
 }
 
 function toleranceOf(rows) {
@@ -97,7 +144,7 @@ function verdict(difference) {
 
 function differences(a, b) {
   const columns = data.tasks[state.task].columns.map((column, place) => ({ ...column, place })).filter(column => a.scores[column.place] || b.scores[column.place]);
-  const head = ["score", "first", "second", "first − second", "common seeds", "differs from 0?"];
+  const names = [a, b].map(row => titleOf(row, [a, b])), head = ["score", ...names, "difference", "common seeds", "differs from 0?"];
   const lines = columns.map(column => {
     const difference = paired(a, b, column.place);
     return make("tr", { "data-key": column.key }, make("th", { scope: "row", title: column.meaning }, column.heading),
@@ -108,6 +155,6 @@ function differences(a, b) {
   const table = make("table", { class: "differences" }, make("caption", { class: "unseen" }, "Scores of the two and their differences"),
     make("thead", {}, make("tr", {}, head.map(text => make("th", { scope: "col", class: "plain" }, text)))), make("tbody", {}, lines));
   return make("div", {}, make("div", { class: "box differences-box", role: "region", "aria-label": "Scores of the two and their differences", tabindex: "0" }, table),
-    make("p", { class: "quiet" }, "The difference is the mean over the seeds that both have, of the first's score minus the second's on the same data, with half the width of its 95 % "
+    make("p", { class: "quiet" }, `The difference is the mean over the seeds that both have, of the score of ${names[0]} minus that of ${names[1]} on the same data, with half the width of its 95 % `
       + "confidence interval: “yes” where that interval does not hold zero."));
 }

@@ -1,6 +1,7 @@
 // The ranking: solvers against easy, standard and hard cases, and curves of scores over what makes a case hard.
 const MOST_SHOWN = 20;  // lines of a board before all are asked for
-const MOST_CURVES = 10;  // solvers in a plot of curves 
+const MOST_CURVES = 10;  // solvers in a plot of curves
+const LEAST_POINTS = 4;  // of a line
 
 function boardsOfTask() {
   return data.boards.filter(one => one.task === state.task);
@@ -9,6 +10,11 @@ function boardsOfTask() {
 function boardShown() {
   const boards = boardsOfTask();
   return boards.find(one => one.title === state.group) ?? boards[0];
+}
+
+function rowsOfBoard(board) {
+  const cases = board.columns.flatMap(column => column.cases);
+  return byTask[state.task].filter(row => cases.includes(row.case));
 }
 
 function firstColumn() {
@@ -22,7 +28,7 @@ function frontView() {
   const select = boards.length > 1 ? make("div", { class: "form" }, selector("Suite", board.title, boards.map(one => [one.title, one.title]), group => change({ group }))) : null;
   return [
     make("h2", {}, `Ranking: ${taskName(state.task)}`), select, boards.length > 1 ? null : make("p", { class: "quiet" }, board.title),
-    boardTable(board), moreLines(board), seedNote(board), speedNote(board), downloads(`ranking of ${state.task} in ${board.title}`, () => boardRows(board)), boardLegend(board),
+    boardTable(board), moreLines(board), unmeasuredNote(rowsOfBoard(board), "in this suite"), pictureNote(board), seedNote(board), speedNote(board), make("p", { class: "quiet" }, CODE_TEXT), downloads(`ranking of ${state.task} in ${board.title}`, () => boardRows(board)), boardLegend(board),
     ...curveSection(board), ...toleranceSection(board), all,
   ];
 }
@@ -33,6 +39,11 @@ function lineChips(line) {
   return [...chips(data.rows[open_ ?? line.row]), line.also.length ? make("span", { class: "chip", title: line.also.join(", ") }, `also sent as ${line.also.slice(0, 3).join(", ")}`) : null];
 }
 
+function measured(line) {
+  const rows = [...new Set([line.row, ...line.cells.flatMap(cell => cell.places)])].map(place => data.rows[place]), date = dateOf(rows);
+  return [date && make("span", { class: "few quiet" }, `measured ${date}`), make("span", { class: "few quiet" }, versionOf(rows))];
+}
+
 function rankText(cell) {
   return cell.rank ? `${cell.tied ? "=" : ""}${cell.rank}` : "";
 }
@@ -40,7 +51,7 @@ function rankText(cell) {
 function timeText(cell) {
   if (cell.seconds === undefined) return "";
   const mark = cell.process ? ` ${PROCESS}` : "";
-  return `${fixed(cell.seconds, 2)} s${mark}${cell.kernels === undefined ? "" : `, ${kernelText(cell.kernels)} kernels`}`;
+  return `${fixed(cell.seconds, 2)} s${mark}${cell.kernels === undefined ? "" : `, ${kernelText(cell.kernels)} × reference`}`;
 }
 
 function kernelText(kernels) {
@@ -57,34 +68,48 @@ function boardCell(board, place, cell) {
     cell.note && cell.score ? make("span", { class: "quiet few" }, cell.note) : null,
     cell.note && !cell.score && cell.places.length !== 1 ? make("span", { class: "quiet" }, cell.note) : null,
     time && make("span", { class: `few ${cell.sufficient ? "" : "quiet"}` }, cell.fastest ? make("b", {}, time) : time),
-    thumb(own, cell.places.length === 1 ? `row${cell.places[0]}` : "", board.columns[place].cases[0]));
+    cell.places.length === 1 && own.cases.length === 1 ? shot(data.rows[cell.places[0]]) : null);
 }
 
-function caseLink(row) {
-  return link({ view: "case", case: caseOf(row).id, sort: "", page: "1", a: "", b: "", left: "", right: "" });
+function caseLink(row, changes = {}) {
+  return link({ view: "case", case: caseOf(row).id, sort: "", page: "1", a: "", b: "", left: "", right: "", ...changes });
 }
 
-// The same part of each figure; it is filled when the figures are there, which come last in the file.
-function thumb(column, name, place) {
-  if (column.cases.length !== 1 || !name) return null;
-  const box = make("span", { class: "thumb", hidden: true });
+// A solver's error map, else its estimate; it is filled when the figures are there, which come last in the file.
+function shot(row) {
+  const box = make("span", { class: "shot", hidden: true });
   whenLoaded(() => {
-    const album = albumOf(data.cases[place]);
-    if (!album[name]) return;
-    const wide = data.tasks[state.task].pictured.wide;
-    box.append(make("img", { src: album[name], alt: name === "truth" ? "part of the truth" : "the same part of the estimate", class: wide ? "whole" : null }));
+    const { text, kind, words } = shotOf(row);
+    if (!text) return;
+    box.append(make("a", { href: caseLink(row, { right: `${kind}:${row.id}` }) }, picture(kind, text, `${words} of ${solverOf(row)}, ${caseOf(row).name}`)));
     box.hidden = false;
   });
   return box;
 }
 
-function hasTruth(board) {
-  return document.readyState !== "loading" && board.columns.some(one => one.cases.length === 1 && albumOf(data.cases[one.cases[0]]).truth);
+function shotOf(row) {
+  const album = albumOf(caseOf(row)), errors = data.tasks[state.task].pictured.errors && album[`error${row.place}`];
+  return errors ? { text: errors, kind: "error", words: "error map" } : { text: album[`row${row.place}`], kind: "row", words: "estimate" };
 }
 
 function truthLine(board) {
-  const cells = board.columns.map(one => make("td", { "data-label": one.name, class: "standing" }, thumb(one, "truth", one.cases[0])));
+  const truths = board.columns.map(one => (one.cases.length === 1 ? albumOf(data.cases[one.cases[0]]).truth : null));
+  if (!truths.some(Boolean)) return null;
+  const cells = board.columns.map((one, place) => make("td", { "data-label": one.name, class: "standing" },
+    truths[place] && make("span", { class: "shot" }, image(truths[place], `truth, ${data.cases[one.cases[0]].name}`))));
   return make("tr", { class: "truth" }, make("td", { class: "place" }), make("th", { scope: "row" }, "truth"), make("td", { class: "number" }), cells);
+}
+
+// What the pictures of the table show, once they are there.
+function pictureNote(board) {
+  const box = make("div", {});
+  whenLoaded(() => {
+    const shots = board.lines.flatMap(line => line.cells.filter(cell => cell.places.length === 1).map(cell => shotOf(data.rows[cell.places[0]]))).filter(one => one.text);
+    if (!shots.length) return;
+    const { heading: title, estimates: text, errors } = data.tasks[state.task].pictured, maps = shots[0].kind === "error";
+    box.append(make("p", { class: "quiet" }, `${title}, first seed${maps ? ", error maps; the truth has a line of its own" : ""}. `, maps ? [...keyed(errors), isLit() ? LIT : ""] : text, reduced(shots.map(one => one.text))));
+  });
+  return box;
 }
 
 function boardTable(board) {
@@ -94,11 +119,11 @@ function boardTable(board) {
     make("span", { class: "few quiet" }, `${column.heading}, ${one.seeds} ${one.seeds === 1 ? "seed" : "seeds"}${one.cases.length > 1 ? `, ${one.cases.length} cases` : ""}`)));
   const lines = board.lines.slice(0, state.all ? undefined : MOST_SHOWN).map(line => make("tr", { class: line.place ? null : "unplaced" },
     make("td", { class: "place", "data-label": "place" }, line.place ? String(line.place) : DASH),
-    make("th", { scope: "row" }, make("span", { class: "name" }, wrapped(line.name)), lineChips(line)),
+    make("th", { scope: "row" }, make("span", { class: "name" }, wrapped(line.name)), lineChips(line), measured(line)),
     make("td", { class: "number", "data-label": "mean rank" }, fixed(line.meanRank, 2)),
     line.cells.map((cell, place) => boardCell(board, place, cell))));
   const body = make("tbody", {}, lines);
-  whenLoaded(() => { if (hasTruth(board)) body.prepend(truthLine(board)); });
+  whenLoaded(() => body.prepend(truthLine(board) ?? ""));
   return make("div", { class: "box", role: "region", "aria-label": label, tabindex: "0" }, make("table", { class: "board cards" }, make("caption", { class: "unseen" }, label),
     make("thead", {}, make("tr", {}, make("th", { scope: "col", class: "plain" }, "place"), make("th", { scope: "col", class: "plain" }, "solver"),
       make("th", { scope: "col", class: "plain number" }, "mean rank"), heads)), body));
@@ -110,7 +135,7 @@ function seedNote(board) {
 
 function speedNote(board) {
   if (!board.lines.some(line => line.cells.some(cell => cell.kernels))) return null;
-  return make("p", { class: "quiet" }, `Seconds of the solver, and the same in runs of a reference kernel. Speed counts from ${board.sufficient}; below it the time is grey. The fewest kernels are bold.`);
+  return make("p", { class: "quiet" }, `Time: seconds of the solver. “× reference” is the same time divided by that of a fixed computation on the same machine in the same run, so that different machines can be compared. Speed counts from ${board.sufficient}; below it the time is grey. The fastest is bold.`);
 }
 
 function moreLines(board) {
@@ -128,7 +153,7 @@ function boardRows(board) {
       const { name } = board.columns[place];
       Object.assign(row, {
         [`${name}: rank`]: cell.rank ?? "", [`${name}: ${first}`]: cell.score?.[0] ?? "", [`${name}: half width`]: cell.score?.[1] ?? "",
-        [`${name}: seconds`]: cell.seconds ?? "", [`${name}: kernels`]: cell.kernels ?? "", [`${name}: note`]: cell.note ?? "",
+        [`${name}: seconds`]: cell.seconds ?? "", [`${name}: times the reference`]: cell.kernels ?? "", [`${name}: note`]: cell.note ?? "",
       });
     });
     return row;
@@ -143,7 +168,7 @@ function boardLegend(board) {
       + "No correction is made for the number of pairs: of twenty, expect one to differ by chance. With one seed there is no interval, and scores rank as they are. The best mean is bold."),
     make("p", { class: "quiet" }, "Only results on the same data sets are compared. A solver without a rank somewhere (it failed, declined, lacks seeds or cases, or the task’s gate does not rank it) comes after all others; "
       + "its mean rank counts the rank after the last one there. A result that was sent again under another name takes no further rank. " + data.tasks[state.task].gate),
-    make("p", { class: "quiet" }, `A kernel is a fixed piece of work, timed on the same machine in the same run. Speed counts from ${board.sufficient}, so that nobody is fast by being inaccurate.${board.lines.some(line => line.cells.some(cell => cell.process)) ? ` ${PROCESS_TEXT}` : ""}`));
+    make("p", { class: "quiet" }, `The reference is a fixed computation of some 15 ms on one thread. Speed counts from ${board.sufficient}, so that nobody is fast by being inaccurate.${board.lines.some(line => line.cells.some(cell => cell.process)) ? ` ${PROCESS_TEXT}` : ""}`));
 }
 
 // Curves over one property of the cases.
@@ -166,13 +191,13 @@ function sameSuite(board, place) {
 
 function curvePlot(curve, column) {
   const found = curve.points.flatMap(([value, place]) => byTask[state.task].filter(row => row.case === place && !row.error && scoreOf(row, column.key))
-    .map(row => ({ ...plotted(row, scoreOf(row, column.key), column, `, ${curve.quantity} ${value}, ${caseOf(row).name}`), x: value, entry: `${row.solver} ${row.parameters} ${row.machine} ${row.submission?.name ?? ""}` })));
+    .map(row => ({ ...plotted(row, scoreOf(row, column.key), column, `, ${curve.quantity} ${value}, ${caseOf(row).name}`), x: value, entry: `${solverOf(row)} ${row.parameters} ${row.machine} ${row.submission?.name ?? ""}` })));
   if (!found.length) return nothing("No solver has this score in these cases.");
   const kept = keptSolvers(found);
   const points_ = found.filter(one => kept.includes(one.solver));
   const x = { field: "x", type: "quantitative", title: curve.quantity, scale: curve.logarithmic ? { type: "log" } : { zero: false, padding: 12 }, axis: { tickCount: 6 } };
   const label = `${column.heading} over ${curve.quantity}`;
-  return curveFigure(points_, x, column, label, "Bands are 95 % confidence intervals over the seeds. Cases differ in this property alone.", found.length > points_.length);
+  return curveFigure(points_, x, column, label, "Cases differ in this property alone.", found.length > points_.length);
 }
 
 // The best solvers of the ranking, if there are too many to tell apart.
@@ -183,18 +208,35 @@ function keptSolvers(points_) {
   return names.sort((a, b) => place(a) - place(b)).slice(0, MOST_CURVES);
 }
 
+// A line needs values at four places; fewer are points side by side. Dashed lines come last, so that they hide no line under them.
 function curveFigure(points_, x, column, label, caption, fewer) {
-  const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
-  const shared = { detail: { field: "entry" }, color: LOOKS.color };
-  const layers = [{ data: { values: points_ }, mark: { type: "line", strokeWidth: 2 }, encoding: { x, y, ...shared } },
-    { data: { values: points_ }, mark: { ...POINT, size: 60 }, encoding: { x, y, ...LOOKS, ...TOLD } }];
-  const banded = points_.filter(one => one.low !== null);
-  if (banded.length) layers.unshift({ data: { values: banded }, mark: { type: "area", opacity: 0.18 }, encoding: { x, y: { ...y, field: "low" }, y2: { field: "high" }, ...shared } });
-  const drawing = plot({ height: 320, layer: layers }, `${label}; the results say the same in numbers`);
-  const note = fewer ? ` The ${MOST_CURVES} best solvers are drawn.` : "";
-  return make("figure", {}, drawing, legend([...new Set(points_.map(one => one.solver))].sort(words.compare)), plotDownloads(drawing, label,
+  const y = { field: "value", type: "quantitative", scale: { zero: false, padding: 10 }, title: column.heading };
+  const counts = new Map();
+  for (const one of points_) counts.set(one.entry, (counts.get(one.entry) ?? 0) + 1);
+  const lined = points_.filter(one => counts.get(one.entry) >= LEAST_POINTS).sort((a, b) => DASHES.indexOf(a.dash) - DASHES.indexOf(b.dash));
+  const layer = lined.length ? curveLayers(points_, lined, x, y) : sideBySide(points_, x, y);
+  const drawing = plot({ height: 320, layer }, `${label}; the results say the same in numbers`);
+  const shown_ = [...new Set(points_.map(one => one.solver))].sort(words.compare), best = (boardShown()?.lines ?? []).map(line => solverOf(data.rows[line.row]));
+  const absent = [...new Set(best)].filter(solver => !shown_.includes(solver));
+  const note = fewer ? ` The ${MOST_CURVES} best solvers are drawn.` : absent.length ? ` Without a value here: ${absent.join(", ")}.` : "";
+  return make("figure", {}, drawing, legend(shown_, Boolean(lined.length)), plotDownloads(drawing, label,
       () => plottedRows(points_, column, "x", x.title)),
-    make("figcaption", { class: "quiet" }, `${meant(column)} ${caption}${note}`));
+    make("figcaption", { class: "quiet" }, `${meant(column)} ${lined.length ? "Bands" : "Bars"} are 95 % confidence intervals over the seeds. ${caption}${note}`));
+}
+
+function curveLayers(points_, lined, x, y) {
+  const shared = { detail: { field: "entry" }, color: LOOKS.color }, strokeDash = { field: "dash", type: "nominal", scale: null, legend: null };
+  const banded = lined.filter(one => one.low !== null);
+  return [
+    ...(banded.length ? [{ data: { values: banded }, mark: { type: "area", opacity: 0.18 }, encoding: { x, y: { ...y, field: "low" }, y2: { field: "high" }, ...shared } }] : []),
+    { data: { values: lined }, mark: { type: "line", strokeWidth: 2 }, encoding: { x, y, ...shared, strokeDash } },
+    { data: { values: points_ }, mark: POINT, encoding: { x, y, ...LOOKS, ...TOLD } },
+  ];
+}
+
+function sideBySide(points_, x, y) {
+  const places = { field: "x", type: "ordinal", title: x.title, scale: GROUPED, axis: { labelAngle: 0 } };
+  return points(points_, places, y, "y").map(one => ({ ...one, encoding: { ...one.encoding, xOffset: { field: "entry", type: "nominal" } } }));
 }
 
 // A score over the distance within which detections match, beside the single figure at one of them.
@@ -212,7 +254,7 @@ function tolerancePlot(rows) {
   const column = { key: "", heading, decimals: 3, meaning: "share of pairs that are closer than the tolerance along every axis, as the harmonic mean of precision and recall" };
   const points_ = rows.flatMap(row => row.curve.map((score, place) => score && { ...plotted(row, score, column, ` within ${distances[place]} ${unit}`), x: distances[place], entry: row.id }).filter(Boolean));
   const kept = keptSolvers(points_);
-  const x = { field: "x", type: "quantitative", title: `matching tolerance, ${unit}`, scale: { domain: [0, Math.max(...distances)] } };
+  const x = { field: "x", type: "quantitative", title: `matching tolerance, ${unit}`, scale: { domain: [0, Math.max(...distances)] }, axis: { values: [0, ...distances] } };
   return curveFigure(points_.filter(one => kept.includes(one.solver)), x, column, `${heading} over the matching tolerance`,
-    "A solver that finds particles but places them badly falls off to the left; the table’s figure is one point of this curve. Bands are 95 % confidence intervals over the seeds.", kept.length < new Set(points_.map(one => one.solver)).size);
+    "A solver that finds particles but places them badly falls off to the left; the table’s figure is one point of this curve.", kept.length < new Set(points_.map(one => one.solver)).size);
 }

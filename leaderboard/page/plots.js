@@ -7,6 +7,8 @@ const MARKERS = [  // paths in a box from -1 to 1, for the plot and its legend
   "M-.8,0a.8,.8 0 1,0 1.6,0a.8,.8 0 1,0 -1.6,0Z", "M-.7,-.7h1.4v1.4h-1.4Z", "M0,-.9L.9,.7H-.9Z", "M0,-1L.8,0L0,1L-.8,0Z", "M0,.9L.9,-.7H-.9Z",
   "M-.3,-1h.6v.7h.7v.6h-.7v.7h-.6v-.7h-.7v-.6h.7Z", "M-.9,0L.7,-.9V.9Z",
 ];
+const GROUPED = { paddingInner: 0.5, paddingOuter: 0.25 };  // of solvers side by side
+const DASHES = [[1, 0], [8, 3], [2, 3], [10, 3, 2, 3], [5, 5]];  // of lines, the full one first
 const MOST = 20;  // solvers in a plot of difficulty: beyond them it shows nothing
 
 function dark() {
@@ -19,19 +21,24 @@ const solversOf = {};  // all of a task, by name
 function lookOf(solver) {
   solversOf[state.task] ??= values(byTask[state.task], solverOf);
   const place = solversOf[state.task].indexOf(solver), palette = PALETTES[dark() ? "dark" : "light"];
-  return { colour: palette[place % palette.length], shape: MARKERS[place % MARKERS.length] };
+  return { colour: palette[place % palette.length], shape: MARKERS[place % MARKERS.length], dash: DASHES[place % DASHES.length] };
 }
 
-function legend(solvers) {
+function legend(solvers, lined) {
   const items = solvers.map(solver => {
-    const look = lookOf(solver), mark = document.createElementNS(SVG, "svg"), path = document.createElementNS(SVG, "path");
-    for (const [name, value] of [["viewBox", "-1.2 -1.2 2.4 2.4"], ["width", "14"], ["height", "14"], ["aria-hidden", "true"]]) mark.setAttribute(name, value);
-    path.setAttribute("d", look.shape);
-    path.setAttribute("fill", look.colour);
-    mark.append(path);
+    const look = lookOf(solver), wide = lined ? 44 : 16;
+    const mark = drawn_("svg", { viewBox: `${-wide / 2} -8 ${wide} 16`, width: wide, height: 16, "aria-hidden": "true" });
+    if (lined) mark.append(drawn_("line", { x1: -wide / 2, x2: wide / 2, stroke: look.colour, "stroke-width": 2, "stroke-dasharray": look.dash.join(" ") }));
+    mark.append(drawn_("path", { d: look.shape, transform: "scale(5.5)", fill: "none", stroke: look.colour, "stroke-width": 2, "vector-effect": "non-scaling-stroke" }));
     return make("li", {}, mark, solver);
   });
   return make("ul", { class: "legend", "aria-label": "Solvers" }, items);
+}
+
+function drawn_(tag, attributes) {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  return element;
 }
 
 function theme() {
@@ -68,7 +75,7 @@ const LOOKS = {
 };
 const TOLD = { tooltip: { field: "text", type: "nominal" }, description: { field: "text", type: "nominal" } };
 
-const POINT = { type: "point", filled: true, size: 110, opacity: 1 };
+const POINT = { type: "point", filled: false, strokeWidth: 2, size: 110, opacity: 1 };  // hollow: none hides another of another shape
 
 // Points with their intervals: x and y are encodings, `along` is the one ("x" or "y") that has fields low and high.
 function points(rows, x, y, along) {
@@ -104,7 +111,7 @@ function scoreChoice(columns) {
 // Accuracy against time of one case.
 
 const NO_SCORES = "Without truth, results of this task have no figures but their costs.";
-const TIMES = { seconds: "seconds", kernels: "reference kernels" };
+const TIMES = { seconds: "seconds", kernels: "multiples of the reference time" };
 
 function timeView(rows) {
   const cases = [...new Set(rows.map(row => row.case))].map(place => data.cases[place]);
@@ -143,19 +150,19 @@ function timePlot(rows, column, own) {
   if (!column) return nothing(NO_SCORES);
   const inKernels = state.x === "kernels";
   const known = rows.filter(row => !row.error && scoreOf(row, column.key) && scoreOf(row, "seconds")?.[0] > 0 && (!inKernels || row.reference));
-  if (!known.length) return nothing(`No solver of this case has both this score and a time${inKernels ? " in reference kernels" : ""}.`);
+  if (!known.length) return nothing(`No solver of this case has both this score and a time${inKernels ? " in multiples of the reference time" : ""}.`);
   const points_ = known.map(row => {
     const seconds = scoreOf(row, "seconds");
     return { ...plotted(row, scoreOf(row, column.key), column, `, ${shown(seconds, 2)} s${row.wholeProcess ? ` ${PROCESS}` : ""}, ${listed([textOf(row.machine)].filter(Boolean), "machine unknown")}`), time: seconds[0] / (inKernels ? row.reference : 1) };
   });
   const x = { field: "time", type: "quantitative", scale: { type: "log" }, title: TIMES[state.x] ?? "seconds", axis: { labelOverlap: true, gridOpacity: 0.5 } };
-  const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
+  const y = { field: "value", type: "quantitative", scale: { zero: false, padding: 10 }, title: column.heading };
   const label = `${column.heading} against time of ${known.length} results of the case ${own.name}; the table says the same in numbers`;
   const steps = column.key === data.tasks[state.task].columns[0].key ? stepsOf(known, column, inKernels) : [];
   const drawing = plot({ height: 380, layer: [...lines(steps, x, y), ...points(points_, x, y, "y")] }, label);
-  return make("figure", {}, drawing, legend(values(known, solverOf)), plotDownloads(drawing, `${column.heading} against time ${own.name}`, () => plottedRows([...points_, ...steps], column, "time", "seconds or kernels")),
+  return make("figure", {}, drawing, legend(values(known, solverOf)), plotDownloads(drawing, `${column.heading} against time ${own.name}`, () => plottedRows([...points_, ...steps], column, "time", "seconds or multiples")),
     make("figcaption", { class: "quiet" }, `${meant(column)} Bars are 95 % confidence intervals over the seeds; time is of the solver alone, on the machine that a point's tip names; `
-      + "in reference kernels it is over the time that a fixed piece of work took on the same machine in the same run."
+      + "its multiple is that time divided by the time of a fixed computation on the same machine in the same run."
       + (steps.length ? " Lines lead through the score after iterations 1, 2, 3, 5, 8, ... of the first frame of one seed." : "")
       + (known.some(row => row.wholeProcess) ? ` ${PROCESS_TEXT}` : "")));
 }
@@ -260,8 +267,8 @@ function lossesOf(rows, column, solvers) {
 }
 
 function levelPlot(levels, column) {
-  const x = { field: "difficulty", type: "ordinal", scale: { domain: DIFFICULTIES }, title: "difficulty", axis: { labelAngle: 0 } };
-  const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
+  const x = { field: "difficulty", type: "ordinal", scale: { domain: DIFFICULTIES, ...GROUPED }, title: "difficulty", axis: { labelAngle: 0 } };
+  const y = { field: "value", type: "quantitative", scale: { zero: false, padding: 10 }, title: column.heading };
   const offset = { xOffset: { field: "solver", type: "nominal" } };
   const layer = points(levels, x, y, "y").map(one => ({ ...one, encoding: { ...one.encoding, ...offset } }));
   const drawing = plot({ height: 320, layer }, `${column.heading} of easy, standard and hard cases`);

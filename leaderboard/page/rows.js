@@ -39,7 +39,7 @@ function scoreOf(row, key) {
 }
 
 const SORTED_BY = {
-  solver: solverOf, machine: row => textOf(row.machine), case: row => row.case, seeds: row => row.seeds.length,
+  solver: solverOf, date: row => dateOf([row]), machine: row => textOf(row.machine), case: row => row.case, seeds: row => row.seeds.length,
   difficulty: row => { const place = DIFFICULTIES.indexOf(caseOf(row).difficulty); return place < 0 ? null : place; },
 };
 
@@ -55,6 +55,29 @@ function ordered(rows) {
   const by = (a, b) => (a === null ? 0 : typeof a === "string" ? words.compare(a, b) : a - b);
   valued.sort((a, b) => last(a) - last(b) || (falling ? -1 : 1) * by(a.value, b.value) || a.row.place - b.row.place);
   return valued.map(one => one.row);
+}
+
+// When and with which code rows were measured: "2026-11-26 to 2026-12-01", "sabench 0.1.0, code 1a2b3c4d".
+function dateOf(rows) {
+  const dates = [...new Set(rows.map(row => row.date || row.submission?.date).filter(Boolean))].sort();
+  return dates.length > 1 ? `${dates[0]} to ${dates.at(-1)}` : dates[0] ?? "";
+}
+
+function versionOf(rows) {
+  const versions = values(rows, row => textOf(row.versions).match(/(?:^|, )(sabench [^,]+)/)?.[1]);
+  const codes = [...new Set(rows.flatMap(row => row.codes.map(textOf)))];
+  return [...versions, codes.length > 2 ? `${codes.length} versions of the code` : codes.length && `code ${codes.map(code => code.slice(0, 8)).join(" and ")}`].filter(Boolean).join(", ");
+}
+
+// Bundled solvers of a task that have none of these rows.
+function unmeasured(rows) {
+  const names = new Set(rows.map(row => textOf(row.name))), task = state.task.replace(", recorded", "");
+  return data.solvers.filter(([group, name]) => group === task && !names.has(name)).map(([, name]) => name);
+}
+
+function unmeasuredNote(rows, where) {
+  const names = unmeasured(rows);
+  return names.length ? make("p", { class: "quiet unmeasured" }, `Not measured ${where}: ${names.join(", ")}.`) : null;
 }
 
 function values(rows, of) {

@@ -1,5 +1,6 @@
 // The table: a page of rows at a time, so that ten thousand records make no more elements than fifty.
 const PAGE = 25;
+const CODE_TEXT = "Code: the first digits of a hash of the measured solver's sources; the details have all of them.";
 const open = new Set();  // ids of rows whose details are shown
 
 function columnsOf(rows) {
@@ -19,7 +20,7 @@ function heading(key, text, number, title) {
 
 function heads(columns) {
   return make("tr", {},
-    heading("solver", "solver"), oneCase() ? null : heading("case", "case"), graded() ? heading("difficulty", "difficulty") : null, heading("seeds", "seeds", true),
+    heading("solver", "solver"), oneCase() ? null : heading("case", "case"), graded() ? heading("difficulty", "difficulty") : null, heading("seeds", "seeds", true), heading("date", "measured"),
     columns.map(column => heading(column.key, column.heading, true, column.meaning)),
     heading("machine", "machine"), make("th", { scope: "col", class: "plain" }, "reproduce"), make("th", { scope: "col", class: "plain" }, "details"));
 }
@@ -71,6 +72,7 @@ function lineOf(row, columns) {
     oneCase() ? null : make("td", { class: "words", "data-label": "case" }, make("a", { href: link({ view: "case", case: own.id, sort: "", page: "1", a: "", b: "" }) }, own.name)),
     graded() ? make("td", { "data-label": "difficulty" }, own.difficulty ?? DASH, own.axis && make("span", { class: "quiet few" }, own.axis)) : null,
     make("td", { class: "number", "data-label": "seeds" }, String(row.seeds.length)),
+    make("td", { "data-label": "measured", class: "date" }, dateOf([row]) || DASH, make("span", { class: "quiet few" }, versionOf([row]))),
     scoreCells(row, columns),
     make("td", { class: "words", "data-label": "machine" }, textOf(row.machine) || DASH),
     make("td", { "data-label": "reproduce" }, row.commands.length ? copyButton(textOf(row.commands[0])) : DASH),
@@ -116,7 +118,7 @@ function detailsOf(row, line) {
     ["case", listed([own.suite && `suite ${own.suite}`, own.recorded ? "recorded" : `scene ${own.scene}`, own.axes, !own.recorded && `renderer ${own.renderer}`, `${own.split} split`].filter(Boolean))],
     [own.recorded ? "data set" : "scene hash", own.hash], ["machine", textOf(row.machineAll)], ["versions", textOf(row.versions)],
     ["code hash", listed(row.codes.map(textOf), "")],
-    ["reference kernel", row.reference && `${row.reference} s in the same run`], ["runs", make("ul", {}, runs)],
+    ["measured", dateOf([row])], ["reference time", row.reference && `${row.reference} s in the same run`], ["runs", make("ul", {}, runs)],
   ]);
   const across = [...line.cells].reduce((sum, cell) => sum + cell.colSpan, 0);
   return make("tr", { class: "details" }, make("td", { colspan: across }, make("div", { class: "inner" }, facts)));
@@ -170,7 +172,7 @@ function logRow(row) {
   const own = caseOf(row), { columns } = data.tasks[state.task];
   const scores = columns.flatMap((column, place) => [[column.key, row.scores[place]?.[0] ?? ""], [`${column.key} half width`, row.scores[place]?.[1] ?? ""]]);
   return { solver: solverOf(row), parameters: textOf(row.parameters), by: row.submission?.name ?? "", case: own.name, suite: own.suite ?? "", difficulty: own.difficulty ?? "", axis: own.axis ?? "",
-    split: own.split, seeds: row.seeds.join(" "), ...Object.fromEntries(scores), ranked: String(row.ranked), error: row.error ?? "", machine: textOf(row.machine), command: row.commands.map(textOf).join("; ") };
+    split: own.split, seeds: row.seeds.join(" "), ...Object.fromEntries(scores), ranked: String(row.ranked), error: row.error ?? "", measured: dateOf([row]), machine: textOf(row.machine), command: row.commands.map(textOf).join("; ") };
 }
 
 function legendOfColumns(rows) {
@@ -178,6 +180,6 @@ function legendOfColumns(rows) {
     terms(columnsOf(rows).map(column => [column.heading, column.meaning])),
     make("p", { class: "quiet" }, "Over several seeds a score is the mean ± half the width of its 95 % confidence interval. "
       + "Cases come in the order of their names and the best of each first, until a heading sorts them: once for rising, twice for falling. Results without a rank and failed ones stay last. "
-      + (rows.some(row => row.wholeProcess) ? `${PROCESS_TEXT} ` : "")
+      + (rows.some(row => row.wholeProcess) ? `${PROCESS_TEXT} ` : "") + `${CODE_TEXT} `
       + `${DASH} stands for a score that does not apply. ${data.tasks[state.task].gate}`));
 }

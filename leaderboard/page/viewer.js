@@ -1,11 +1,11 @@
 // Two figures of a case on top of each other: a slider uncovers one of them, and both zoom and move together.
 const ZOOMS = [1, 2, 4, 8];
 
-// Everything of a case that can be compared: [key, words, base 64].
+// Everything of a case that can be compared: [key, words, data URL, row].
 function figuresOf(rows, own) {
   const album = albumOf(own), { errors } = data.tasks[state.task].pictured;
   const word = own.recorded ? "residuals" : "errors";
-  const of = row => [["row", titleOf(row, rows)], ["error", `${titleOf(row, rows)}: ${word}`]].map(([kind, text]) => [`${kind}:${row.id}`, text, album[kind + row.place]]);
+  const of = row => [["row", titleOf(row, rows)], ["error", `${titleOf(row, rows)}: ${word}`]].map(([kind, text]) => [`${kind}:${row.id}`, text, album[kind + row.place], row]);
   return [["truth", "truth", album.truth], ...rows.flatMap(of)].filter(([key, , text]) => text && (errors || !key.startsWith("error")));
 }
 
@@ -15,14 +15,14 @@ function viewer(rows, own) {
   const left = figures.find(([key]) => key === state.left) ?? figures[0];
   const right = figures.find(([key]) => key === state.right) ?? figures.find(one => one !== left);
   const options = figures.map(([key, text]) => [key, text]);
-  const { heading: title, text, errors } = data.tasks[state.task].pictured;
+  const { heading: title } = data.tasks[state.task].pictured;
   const stage_ = stage(left, right, title);
-  return [make("section", { id: "viewer", "aria-label": "Figures compared" }, make("h3", {}, title), make("p", { class: "quiet" }, [text, errors].filter(Boolean).join(" ")),
+  return [make("section", { id: "viewer", "aria-label": "Figures compared" }, make("h3", {}, "Two figures on top of each other"),
     make("div", { class: "form" }, selector("Left", left[0], options, key => change({ left: key })), selector("Right", right[0], options, key => change({ right: key }))), stage_)];
 }
 
-function stage([, leftName, leftImage], [, rightName, rightImage], title) {
-  const under = image(leftImage, `${title}: ${leftName}`), over = image(rightImage, `${title}: ${rightName}`);
+function stage([leftKey, leftName, leftImage], [rightKey, rightName, rightImage], title) {
+  const under = picture(leftKey.split(":")[0], leftImage, `${title}: ${leftName}`), over = picture(rightKey.split(":")[0], rightImage, `${title}: ${rightName}`);
   const cover = make("div", { class: "cover" }, over), handle = make("div", { class: "handle" });
   const frame = make("div", { class: "frame", tabindex: "0", role: "group", "aria-label": "Figures: arrow keys move, plus and minus zoom" }, under, cover, handle);
   const view = { zoom: 1, x: 0, y: 0, share: 50 };

@@ -52,8 +52,10 @@ def reproduce(
     figures: Annotated[
         Path | None, option("FOLDER", "Write plots of the curves, and a page of all values.")
     ] = None,
+    dry_run: options.DryRun = False,
 ) -> None:
     """Reproduce tables and figures of Belden's thesis and compare the values."""
+    from sabench.apps.costs import announce, cost_of_reproduction
     from sabench.evaluation.reproduction import load_reproduction
     from sabench.utils.errors import InputError
 
@@ -68,6 +70,8 @@ def reproduce(
         cells = [[row["name"], row["shows"], row["verdict"], row["item"]] for row in entries]
         tables.show_wrapped(["name", "shows", "verdict", "measured by"], cells)
     elif names:
+        costs = cost_of_reproduction(names, seeds, pixels, exact=dry_run)
+        announce(costs, output or Path("reproduce"), dry_run=dry_run)
         rows = load_reproduction("report").measure(names, seeds, pixels, output, figures)
         if as_json:
             say_json(rows)
@@ -103,24 +107,22 @@ def run(
         ),
     ] = None,
     jobs: options.Jobs = 1,
+    dry_run: options.DryRun = False,
 ) -> None:
     """Generate, solve and score a suite, then build the leaderboard page.
 
     Results that have a record already are not computed again.
     """
+    from sabench.apps.costs import announce, cost_of_suite
     from sabench.evaluation.runner import run_suite
     from sabench.evaluation.suites import Only
 
     options.announce_compiling()
-    records = run_suite(
-        suite,
-        work,
-        leaderboard,
-        fresh=fresh,
-        only=Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ())),
-        secret=hidden,
-        jobs=jobs,
-    )
+    only = Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ()))
+    what: dict[str, Any] = {"fresh": fresh, "only": only, "secret": hidden, "jobs": jobs}
+    costs = cost_of_suite(suite, work, leaderboard, **what)
+    announce(costs, work, dry_run=dry_run)
+    records = run_suite(suite, work, leaderboard, **what)
     if as_json:
         say_json(records)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import itertools
 import statistics
@@ -51,7 +52,7 @@ def _parts() -> dict[str, list[Callable[[str], None]]]:
     parts: dict[str, list[Callable[[str], None]]] = {}
     for names, describe in (
         (plugins.names("solvers"), _solver),
-        (plugins.names("generators"), _generator),
+        (plugins.names("generators"), functools.partial(_plug_in, "generators")),
         (plugins.list_scenes(), _scene),
         (plugins.list_suites(), _suite),
         (scores, _score),
@@ -59,10 +60,6 @@ def _parts() -> dict[str, list[Callable[[str], None]]]:
         for name in names:
             parts.setdefault(name, []).append(describe)
     return parts
-
-
-def _generator(name: str) -> None:
-    _plug_in("generators", name)
 
 
 def _solver(name: str) -> None:

@@ -27,28 +27,24 @@ from sabench.utils.installed import lacking
 from sabench.utils.version import __version__
 
 
-def _tidy(params: list[Any]) -> list[Any]:
-    """Show nothing for the value of a flag, which has none."""
-    for param in params:
-        if getattr(param, "is_flag", False):
-            param.metavar = ""
-    return params
-
-
-class Command(TyperCommand):
-    """A subcommand."""
+class _Tidy:
+    """Command that shows nothing for the value of a flag, which has none."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """List the arguments and options."""
-        return _tidy(super().get_params(ctx))
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+        return params
 
 
-class Group(TyperGroup):
+class Command(_Tidy, TyperCommand):
+    """A subcommand."""
+
+
+class Group(_Tidy, TyperGroup):
     """The command itself."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """List the options."""
-        return _tidy(super().get_params(ctx))
 
 
 # fmt: off

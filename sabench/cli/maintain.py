@@ -125,10 +125,10 @@ def new(
         raise InputError(f"KIND: expected one of {', '.join(_TEMPLATES)}, got {kind!r}")
     if path.exists():
         raise InputError(f"{path} exists already: choose another name")
-    if kind == "scene":
-        from sabench.scenes.loading import find
-        from sabench.utils.files import complete_or_nothing
+    from sabench.scenes.loading import find
+    from sabench.utils.files import complete_or_nothing
 
+    if kind == "scene":
         source = find((like or "quick"), "scenes")
         with complete_or_nothing(path) as partial:
             partial.write_bytes(source.read_bytes())
@@ -136,8 +136,6 @@ def new(
     elif like is not None:
         raise InputError(f"--like: expected with a scene, got {like!r} with a {kind}")
     else:
-        from sabench.utils.files import complete_or_nothing
-
         ignored = shutil.ignore_patterns("__pycache__")
         with complete_or_nothing(path) as partial:
             shutil.copytree(plugins.bundled_folder("templates") / kind, partial, ignore=ignored)

@@ -40,6 +40,9 @@ def plan(
     density: Annotated[float | None, option("X", "Wanted density, particles per mm3.")] = None,
     resolution: Annotated[float | None, option("X", "Wanted pixel in the volume, mm.")] = None,
     output: Annotated[Path | None, output_option("FILE", "Write the scene that is wanted.")] = None,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Measure scores on small data sets: minutes.")
+    ] = False,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -55,6 +58,10 @@ def plan(
         raise InputError("SCENE: expected a scene file, or the name of a bundled scene, got none")
     else:
         planned = make(scene, recorder)
+    if measure:
+        from sabench.apps.planning.measured_scores import measure_scores
+
+        planned = measure_scores(planned)
     if page is not None:
         from sabench.apps.planning.page import render_plan
         from sabench.utils.files import complete_or_nothing
@@ -137,12 +144,14 @@ def generate(
         int | None,
         option("N", "Of the samples: number in a shard. [default: 64 MB of grey values]", min=1),
     ] = None,
+    dry_run: options.DryRun = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Generate a data set: images, cameras and truth.
 
     If interrupted, run the same command again to resume.
     """
+    from sabench.apps.costs import announce, cost_of_generation
     from sabench.scenes import load_scene
     from sabench.scenes.usual import unusual_values
     from sabench.simulation.pipeline import generate as make
@@ -152,29 +161,29 @@ def generate(
     for key, sentence in unusual_values(loaded):
         print(f"warning: {scene}: {key}: {sentence}", file=sys.stderr)
     loaded = loaded if frames is None else loaded.with_frames(frames)
-    common: dict[str, Any] = {
-        "seed": seed,
-        "backend": cast("Renderer", backend),  # both check the word
-        "name": Path(scene).stem,
-        "overwrite": overwrite,
-        "jobs": jobs,
-        "scheduler": scheduler,
-    }
+    common: _Keys = {"seed": seed, "backend": cast("Renderer", backend), "name": Path(scene).stem}
+    common |= {"overwrite": overwrite, "jobs": jobs, "scheduler": scheduler}
     shards = {"split": split, "truth": truth, "compression": compression, "shard-size": shard_size}
     given = {name: value for name, value in shards.items() if value is not None}
     if samples is not None:
-        _generate_samples(loaded, output, samples, given, common)
+        _generate_samples(loaded, output, samples, given, common, dry_run=dry_run)
         return
     if given:
         raise InputError(f"--{next(iter(given))}: expected --samples with it, got none")
+    costs = cost_of_generation(loaded, seed, common["backend"], jobs, exact=dry_run)
+    announce(costs, output, dry_run=dry_run)
     data = make(loaded, output, **common)
     size = f"{data.setup.frames} frame(s) of {len(data.setup.cameras)} cameras"
     say(f"{data.root}: {size}, {data.manifest.renderer}, hash {data.content_hash[:12]}")
 
 
+_Keys = dict[str, Any]
+
+
 def _generate_samples(
-    scene: Scene, output: Path, samples: int, given: dict[str, Any], common: dict[str, Any]
+    scene: Scene, output: Path, samples: int, given: _Keys, common: _Keys, *, dry_run: bool
 ) -> None:
+    from sabench.apps.costs import announce, cost_of_samples
     from sabench.simulation.sample_shards import generate_samples
 
     keys = {name.replace("shard-", ""): value for name, value in given.items()}
@@ -183,6 +192,8 @@ def _generate_samples(
     if "truth" in keys:
         words = [] if keys["truth"] == "none" else keys["truth"].split(",")
         keys["truth"] = [word.strip() for word in words]
+    costs = cost_of_samples(scene, samples, keys, common, exact=dry_run)
+    announce(costs, output, dry_run=dry_run)
     data = generate_samples(scene, output, samples=samples, **keys, **common)
     splits = ", ".join(f"{count} {name}" for name, count in data.splits.items())
     say(f"{data.root}: {splits} samples, hash {data.content_hash[:12]}")

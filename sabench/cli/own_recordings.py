@@ -163,13 +163,8 @@ def preprocess(
 
     if output is not None:
         refuse_existing(output, overwrite=overwrite)
-    shown = preview(
-        source,
-        camera=camera,
-        frame=frame,
-        steps=options.parse_steps(step) if step else None,
-        false_alarms=false_alarms,
-    )
+    steps = options.parse_steps(step) if step else None
+    shown = preview(source, camera=camera, frame=frame, steps=steps, false_alarms=false_alarms)
     if output is not None:
         with complete_or_nothing(output, overwrite=overwrite) as file:
             file.write_bytes(shown._picture())

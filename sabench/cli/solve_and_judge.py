@@ -28,22 +28,21 @@ def solve(
     parameter: options.ParameterPairs = None,
     time_limit: options.TimeLimit = None,
     memory_limit: options.MemoryLimit = None,
+    dry_run: options.DryRun = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Run a solver on a data set and write its result file."""
+    from sabench.apps.costs import announce, cost_of_solve
     from sabench.dataset.verification import probe_dataset
     from sabench.tasks.solve_and_score import solve as run_solver
     from sabench.utils.processes.program import limits_of
 
     options.announce_compiling()
     probe_dataset(dataset)
+    given, limits = options.parse_parameters(parameter), limits_of(time_limit, memory_limit)
+    announce(cost_of_solve(solver, dataset, given, exact=dry_run), output, dry_run=dry_run)
     result = run_solver(
-        solver,
-        dataset,
-        output,
-        parameters=options.parse_parameters(parameter),
-        limits=limits_of(time_limit, memory_limit),
-        overwrite=overwrite,
+        solver, dataset, output, parameters=given, limits=limits, overwrite=overwrite
     )
     memory = f"{result.peak_mb:.0f} MB" if result.peak_mb else "unknown memory"
     say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, at most {memory}")
@@ -54,7 +53,9 @@ def score(
     result: Annotated[
         str,
         argument(
-            "RESULT", "A result file, or truth or empty for the best and worst possible scores."
+            "RESULT",
+            "A result file; truth or empty for the best and worst possible scores; or a .json of "
+            "bubbles detected in camera images (COCO's results).",
         ),
     ],
     task: Annotated[
@@ -70,9 +71,19 @@ def score(
     """Score a result against the truth."""
     from sabench.dataset.verification import probe, probe_dataset
     from sabench.tasks.solve_and_score import score as scores_of
+    from sabench.utils.number_text import significant
 
     options.announce_compiling()
     probe_dataset(dataset)
+    if result.endswith(".json"):
+        from sabench.apps.detections import score_detections
+
+        detected = score_detections(dataset, result)
+        if as_json:
+            say_json(detected)
+        else:
+            say("\n".join(f"{key:<18}{significant(value)}" for key, value in detected.items()))
+        return
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
     scores = scores_of(dataset, result, task)

@@ -40,7 +40,7 @@ from sabench.utils.progress import say
 from sabench.utils.version import SIMULATION, __version__
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "code_hash")
-_COMPUTED = ("run_hash", "case", "label", "machine", "versions")
+COMPUTED = ("run_hash", "case", "label", "machine", "versions")
 
 
 def run_suite(
@@ -71,11 +71,11 @@ def run_suite(
     """
     with hide_from_solvers(secret):
         suite, cases = load_suite(path, read_secret(secret) if secret else None)
-        existing = {} if fresh else _known_records(leaderboard)
+        existing = {} if fresh else known_records(leaderboard)
         records, wanted = [], only.select(cases)
         for number, case in enumerate(wanted, 1):
-            heads = [(entry, _describe(case, entry, str(path))) for entry in case.solvers]
-            keys = [key_of(head, _COMPUTED) for _, head in heads]
+            heads = [(entry, describe_run(case, entry, str(path))) for entry in case.solvers]
+            keys = [key_of(head, COMPUTED) for _, head in heads]
             missing = [pair for pair, key in zip(heads, keys, strict=True) if key not in existing]
             records += [existing[key] for key in keys if key in existing]
             done = "" if missing else ", known"
@@ -92,10 +92,10 @@ def run_suite(
     return records
 
 
-def _known_records(leaderboard: Path) -> dict[str, Record]:
+def known_records(leaderboard: Path) -> dict[str, Record]:
     """Read the records without an error, by what they compute."""
     return {
-        key_of(record, _COMPUTED): record
+        key_of(record, COMPUTED): record
         for record in read_records(leaderboard / "records")
         if not record["error"]
     }
@@ -236,7 +236,7 @@ def _picture_result(
         _draw(stem.with_name(f"{stem.name}.left.png"), left)
 
 
-def _describe(case: Case, solver_entry: SolverEntry, suite: str) -> Record:
+def describe_run(case: Case, solver_entry: SolverEntry, suite: str) -> Record:
     """Make the part of a record that is known before anything is computed."""
     solver, task, parameters = solver_entry.describe()
     head = {

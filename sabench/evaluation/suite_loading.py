@@ -40,13 +40,13 @@ from sabench.evaluation.suites import (
     Suite,
 )
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
-from sabench.scenes.loading import read_scene
+from sabench.scenes.loading import read_kind, read_scene
 from sabench.tasks.external_programs import find_program
 from sabench.tasks.quality import FIGURES_OF, quality, residual_picture
 from sabench.tasks.solve_and_score import costs_of, describe_solver
 from sabench.utils.backend import choose_renderer
 from sabench.utils.errors import InputError
-from sabench.utils.files import digest, is_file, is_folder, read_toml
+from sabench.utils.files import digest, is_file, is_folder
 from sabench.utils.progress import say
 from sabench.utils.validation import printable, validate
 
@@ -222,7 +222,7 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
 
 
 def _read_suite(file: Path) -> Suite:
-    return validate(Suite, read_toml(file), str(file))
+    return validate(Suite, read_kind(file, "suite"), str(file))
 
 
 def is_public(scene_hash: str, seed: int) -> bool:

@@ -26,7 +26,7 @@ from sabench.interop import (
 )
 from sabench.interop.foreign import ForeignWorld, check_form, note, unit_mm
 from sabench.interop.lenses import Extent, check_unit, choose_indices, scaled_camera
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
 
@@ -76,7 +76,8 @@ def read_cameras(
     file = Path(path)
     if not file.exists():
         raise InputError(f"{file}: expected a file or folder with cameras, found none")
-    cameras: list[CameraModel] = _MODULES[form].read_cameras(file, _extent(size, grid))
+    low, high = (None, None) if grid is None else map(triple, grid.centers_mm())
+    cameras: list[CameraModel] = _MODULES[form].read_cameras(file, Extent(size, low, high))
     _check_names(file, cameras)
     if points is not None:
         cameras = choose_indices(file, cameras, *points)
@@ -134,12 +135,6 @@ def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
     unfit = getattr(_MODULES[form], "unfit", None)  # without it, a format has all cameras
     if unfit and (reason := unfit(cameras)):
         raise InputError(f"{form}: {reason}")
-
-
-def _extent(size: tuple[int, int] | None, grid: Grid | None) -> Extent:
-    if grid is None:
-        return Extent(size)
-    return Extent(size, grid.low_mm, tuple(grid.centers_mm()[1].tolist()))
 
 
 def _check_names(path: Path, cameras: Sequence[CameraModel]) -> None:

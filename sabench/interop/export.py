@@ -2,92 +2,32 @@
 
 Formats of data (vtk and tables) take the truth or a result. Those of tracking programs take what a
 program needs to solve the data set, without the truth; with a result, cameras and particles.
-
-Bubbles in the COCO format (https://cocodataset.org/#format-data) are one category, masks as
-uncompressed run lengths down the columns, and boxes [left, top, width, height] in pixels.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
-import cv2
 import numpy as np
 import tifffile
 
 from sabench import tasks
 from sabench.api import FoundParticles, Reconstruction
-from sabench.api.truth import Bubbles, Sight
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.images.tiff_exr import write_tiff
-from sabench.interop import openlpt, openptv, openptv_files, vtkhdf
+from sabench.interop import coco, openlpt, openptv, openptv_files, vtkhdf
 from sabench.interop.cameras import check_writable, read_cameras, write_into
 from sabench.interop.foreign import ForeignWorld, Recording, note, of_estimates, to_8_bits
 from sabench.interop.image_statistics import measure_frame
 from sabench.interop.openptv_files import FIRST
 from sabench.interop.tracks import TrackFormat, write_tracks
 from sabench.plotting.kinds import COLOURS, rgb
-from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
-from sabench.utils.files import canonical_json, complete_or_nothing
+from sabench.utils.files import complete_or_nothing
 from sabench.utils.progress import progress_bar
-
-_CATEGORY = {"id": 1, "name": "bubble", "supercategory": "bubble"}
-
-
-def _write_coco(root: Path, data: Dataset) -> None:
-    """Write images of 8 bits and `annotations.json` into a folder.
-
-    Raises InputError for a data set that shows no bubbles.
-    """
-    if "bubbles" not in data.shows:
-        raise InputError(f"{data.root}: expected a data set with bubbles for coco, got none")
-    images: list[dict[str, Any]] = []
-    annotations: list[dict[str, Any]] = []
-    (root / "images").mkdir()
-    for frame in progress_bar(range(data.setup.frames), "export"):
-        bubbles = data.bubbles(frame)
-        observation = data.observation(frame)
-        for camera, image in zip(data.setup.cameras, observation.images, strict=True):
-            name = f"images/frame_{frame:04d}-{camera.name}.png"
-            light = (image - observation.black_dn) / (observation.white_dn - observation.black_dn)
-            grey = np.rint(255.0 * np.clip(light, 0.0, 1.0)).astype(np.uint8)
-            (root / name).write_bytes(cv2.imencode(".png", grey)[1].tobytes())
-            entry = {"id": len(images) + 1, "file_name": name}
-            images.append(entry | {"height": camera.rows, "width": camera.columns})
-            for annotation in _annotations(bubbles, data.sight(frame, camera)):
-                ids = {"id": len(annotations) + 1, "image_id": entry["id"]}
-                annotations.append(ids | annotation)
-    values = {"images": images, "annotations": annotations, "categories": [_CATEGORY]}
-    (root / "annotations.json").write_text(canonical_json(values), encoding="utf-8")
-
-
-def _annotations(bubbles: Bubbles, sight: Sight) -> Iterator[dict[str, Any]]:
-    """Describe a camera's bubbles; `bubble` is their id in all frames and cameras."""
-    for row, identity in enumerate(bubbles.id.tolist()):
-        mask = sight.number == row
-        if mask.any():
-            yield {
-                "category_id": 1,
-                "iscrowd": 0,
-                "area": int(mask.sum()),
-                "bbox": list(cv2.boundingRect(mask.astype(np.uint8))),
-                "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
-                "bubble": identity,
-                "visible": float(sight.visible[row]),
-            }
-
-
-def run_lengths(mask: Bool) -> list[int]:
-    """Compute run lengths of a mask, column by column, the first one of zeros."""
-    flat = mask.ravel(order="F")
-    changes = np.flatnonzero(np.diff(flat.astype(np.int8))) + 1
-    lengths: list[int] = np.diff([0, *changes.tolist(), len(flat)]).tolist()
-    return [0, *lengths] if flat[0] else lengths
-
 
 NAME = "state.py"
 _TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
@@ -103,9 +43,7 @@ def write_state(root: Path, home: Path) -> None:
     (root / NAME).write_text(text, encoding="utf-8")
 
 
-Format = Literal[
-    "vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "npy", "csv", "coco"
-]
+Format = Literal["vtk", TrackFormat, "coco"]
 ProgramFormat = Literal["openptv", "myptv", "openlpt", "lpt-challenge"]
 _PROGRAMS: dict[str, ProgramFormat] = {name: name for name in get_args(ProgramFormat)}
 _GREY = "grey values are scaled to 8 bits, so that the peak of a bright particle has 160"
@@ -155,7 +93,7 @@ def export(
                 raise InputError(
                     f"{opened.path}: expected no result for coco, which has true bubbles"
                 )
-            _write_coco(root, data)
+            coco.write(root, data)
         elif program and opened is None:
             write_into(root, data.setup.cameras, program, data.setup.grid)
             _OBSERVATIONS[program](root, data, Path(out).absolute())

@@ -41,15 +41,13 @@ def measure_frame(frame: Observation) -> FrameStatistics:
     peaks = [find_peaks(image, floor).pixels for image in images]
     count = int(np.median([len(pixels) for pixels in peaks]))
     grid = frame.grid
-    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
-    shape = np.asarray(grid.shape[::-1])
-    middle = low + voxel * (shape - 1) / 2.0
+    voxel, middle = np.asarray(grid.voxel_mm), np.mean(grid.centers_mm(), axis=0)
     step = np.array([voxel[0], 0.0, 0.0])
     shift = [
         np.linalg.norm(np.diff(camera.project(np.stack([middle - step, middle + step]))[0], axis=0))
         for camera in frame.cameras
     ]
-    spacing = float(np.cbrt(np.prod(voxel * shape) / max(count, 1)))
+    spacing = float(np.cbrt(np.prod(voxel * grid.shape[::-1]) / max(count, 1)))
     return FrameStatistics(
         floor,
         count,

@@ -49,7 +49,9 @@ def _read_camera(path: Path, extent: Extent) -> CameraModel:
     nodes = _read_nodes(path)
     matrix = _matrix(path, nodes, _MATRIX, (3, 3))
     turn = _matrix(path, nodes, _TURN, None)
-    rotation = turn if turn.shape == (3, 3) else _of_vector(path, turn)
+    if turn.shape != (3, 3) and turn.size != 3:
+        raise InputError(f"{path}: {_TURN[0]}: expected 9 or 3 numbers, got {turn.size}")
+    rotation = turn if turn.size == 9 else rotation_matrices(turn.ravel())
     move = _matrix(path, nodes, _MOVE, None).ravel()
     if move.shape != (3,):
         raise InputError(f"{path}: {_MOVE[0]}: expected three numbers, got {move.size}")
@@ -67,12 +69,6 @@ def _read_camera(path: Path, extent: Extent) -> CameraModel:
         note(f"{pose.where}: its distortion has {bent.size} coefficients: the camera is `central`")
         return camera_of_lens(pose, lens, float(matrix[0, 0]))
     return camera_of_matrix(pose, matrix, Distortion(*np.resize([*bent, 0.0], 5)[:5].tolist()))
-
-
-def _of_vector(path: Path, turn: F64) -> F64:
-    if turn.size != 3:
-        raise InputError(f"{path}: {_TURN[0]}: expected 9 or 3 numbers, got {turn.size}")
-    return rotation_matrices(turn.ravel())
 
 
 def _read_nodes(path: Path) -> dict[str, Any]:

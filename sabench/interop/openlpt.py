@@ -193,8 +193,7 @@ def write_project(
         (folder / f"cam{number}.txt").write_text(camera_text(camera), encoding="utf-8")
         names = [f"{home}/cam{number}/{frame:05d}.tif\n" for frame in range(frames)]
         (folder / f"cam{number}ImageNames.txt").write_text("".join(names), encoding="utf-8")
-    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
-    ends = np.column_stack([low - voxel, low + voxel * np.asarray(grid.shape[::-1])])
+    ends = np.column_stack(grid.centers_mm(1.0))
     count = len(cameras)
     lines = [f"0,{frames - 1}", "1", str(settings.threads), str(count)]
     lines += [f"{home}/cam{number}.txt,{WHITE}" for number in range(count)]

@@ -121,8 +121,7 @@ def unlike(cameras: Sequence[Camera]) -> str | None:
 
 def world_of(grid: Grid) -> ForeignWorld:
     """Make OpenPTV's world for a volume: its origin is the centre of the grid."""
-    half = np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1) / 2.0
-    return ForeignWorld(triple(np.asarray(grid.low_mm) + half), _AXES)
+    return ForeignWorld(triple(np.mean(grid.centers_mm(), axis=0)), _AXES)
 
 
 def orientation_text(camera: Camera, world: ForeignWorld) -> str:
@@ -190,9 +189,7 @@ def write_frame(folder: Path, frame: int, images: F32) -> None:
 
 def ends_mm(grid: Grid, world: ForeignWorld) -> F64:
     """Compute opposite corners (2, 3) of a volume in OpenPTV's world."""
-    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
-    corners = np.stack([low - voxel, low + voxel * np.asarray(grid.shape[::-1])])
-    return np.sort(world.into(corners), axis=0)
+    return np.sort(world.into(np.stack(grid.centers_mm(1.0))), axis=0)
 
 
 def write_project(

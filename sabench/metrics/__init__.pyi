@@ -34,7 +34,6 @@ from .reconstruction_error import (
 from .trajectories import (
     link_scores as link_scores,
     trajectory_scores as trajectory_scores,
-    vector_scores as vector_scores,
 )
 from .velocity_error import (
     precision_interval as precision_interval,

@@ -19,8 +19,9 @@ def mean_of_finite(values: Iterable[float | None]) -> float | None:
 
 
 def mean_of_each(figures: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
-    """Average each figure of several frames with `mean_of_finite`."""
-    return {key: mean_of_finite(frame[key] for frame in figures) for key in figures[0]}
+    """Average each figure with `mean_of_finite` over those that have it."""
+    keys = dict.fromkeys(key for frame in figures for key in frame)
+    return {key: mean_of_finite(frame.get(key) for frame in figures) for key in keys}
 
 
 def root_mean_square(values: F64) -> float:

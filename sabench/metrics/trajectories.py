@@ -138,7 +138,8 @@ def _hota(frames: Sequence[Sightings]) -> float:
     return float(np.mean(levels))
 
 
-_KEYS = ("link_recall", "link_precision", "effectiveness", "velocity_mm_s", "velocity_percent")
+_LINKS = ("link_recall", "link_precision", "effectiveness", "velocity_mm_s", "velocity_percent")
+_KEYS = (*_LINKS, "vector_recall", "displacement_mm")
 
 
 def trajectory_scores(
@@ -163,7 +164,9 @@ def trajectory_scores(
     ]
     centers, true_centers = ([frame.center_mm for frame in part] for part in (estimate, truth))
     identity = [frame.id for frame in truth]
-    return link_scores(centers, trajectory, true_centers, identity, matched, times_s, sequences)
+    places = centers, trajectory, true_centers, identity, matched
+    scores = link_scores(*places, times_s, sequences)
+    return {key: scores[key] for key in _LINKS}
 
 
 def link_scores(
@@ -183,18 +186,27 @@ def link_scores(
     trajectory, identity : numbers (n,) of the estimated trajectories, and (m,) of the true ones.
     matched : for each frame, rows of the estimated and of the true ones that form pairs.
     times_s, sequences : as in `trajectory_scores`.
+
+    The last two keys are those of the first LPT challenge (Leclaire et al. 2021): the share of the
+    true displacements between consecutive frames that a trajectory has, so that particles that were
+    not found count as missed; the root mean square error of these displacements. NaN without any.
     """
-    total, right, links = 0, 0, 0
-    off, speed, cover = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
+    total, right, links, every = 0, 0, 0, 0
+    off, speed, cover, squares = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for frames in sequences:
         for old, new in itertools.pairwise(frames):
-            i, j, k, m = _in_both(identity, matched, old, new)
+            (i, j), (k, m) = matched[old], matched[new]  # rows of those that are in both frames
+            _, a, b = np.intersect1d(identity[old][j], identity[new][m], return_indices=True)
+            i, j, k, m = i[a], j[a], k[b], m[b]
             good = trajectory[old][i] == trajectory[new][k]
             total, right = total + len(good), right + int(good.sum())
             links += len(np.intersect1d(trajectory[old], trajectory[new]))
-            duration = times_s[new] - times_s[old]
+            every += len(np.intersect1d(identity[old], identity[new]))
+            shift, duration = estimate_mm[new][k] - estimate_mm[old][i], times_s[new] - times_s[old]
+            error = (shift - truth_mm[new][m] + truth_mm[old][j])[good]
+            squares.append(np.square(error).sum(axis=1))
             velocity = (truth_mm[new][m] - truth_mm[old][j])[good] / duration
-            estimated = (estimate_mm[new][k] - estimate_mm[old][i])[good] / duration
+            estimated = shift[good] / duration
             off.append(np.linalg.norm(estimated - velocity, axis=1))
             speed.append(np.linalg.norm(velocity, axis=1))
         pairs = [(identity[f][matched[f][1]], trajectory[f][matched[f][0]]) for f in frames]
@@ -204,45 +216,10 @@ def link_scores(
         ratio(right, links),
         _mean(np.concatenate(cover)),
         *median_errors(np.concatenate(off), np.concatenate(speed)),
+        ratio(right, every),
+        float(np.sqrt(_mean(np.concatenate(squares)))),
     )
     return dict(zip(_KEYS, figures, strict=True))
-
-
-def vector_scores(
-    estimate_mm: Sequence[F64],
-    trajectory: Sequence[I64],
-    truth_mm: Sequence[F64],
-    identity: Sequence[I64],
-    matched: Sequence[tuple[I64, I64]],
-    sequences: Sequence[range],
-) -> dict[str, float]:
-    """Score displacements as the first LPT challenge does (Leclaire et al. 2021).
-
-    Arguments as for `link_scores`. Keys: vector_recall, the share of the true displacements between
-    consecutive frames that a trajectory has, so that particles that were not found count as missed;
-    displacement_mm, the root mean square error of these displacements. NaN without any.
-    """
-    right, total, squares = 0, 0, [np.zeros(0)]
-    for old, new in (pair for frames in sequences for pair in itertools.pairwise(frames)):
-        i, j, k, m = _in_both(identity, matched, old, new)
-        good = trajectory[old][i] == trajectory[new][k]
-        shift = estimate_mm[new][k] - estimate_mm[old][i]
-        off = (shift - truth_mm[new][m] + truth_mm[old][j])[good]
-        right, total = right + len(off), total + len(np.intersect1d(identity[old], identity[new]))
-        squares.append(np.square(off).sum(axis=1))
-    return {
-        "vector_recall": ratio(right, total),
-        "displacement_mm": float(np.sqrt(_mean(np.concatenate(squares)))),
-    }
-
-
-def _in_both(
-    identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], old: int, new: int
-) -> tuple[I64, I64, I64, I64]:
-    """Find rows of estimated and true objects in two frames for the same ones."""
-    (i, j), (k, m) = matched[old], matched[new]
-    _, first, second = np.intersect1d(identity[old][j], identity[new][m], return_indices=True)
-    return i[first], j[first], k[second], m[second]
 
 
 def _coverage(pairs: Sequence[tuple[I64, I64]], every: Sequence[I64]) -> F64:

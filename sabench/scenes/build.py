@@ -128,23 +128,18 @@ def check_tank(walls: Sequence[Wall | CylinderWall], corners: F64) -> None:
     for wall in walls:
         depth = wall.depth_of(corners) - wall.thickness_mm
         if isinstance(wall, CylinderWall):
-            outside = -float(depth.min())
-            if outside >= 0.0:
-                inner = wall.outer_radius_mm - wall.thickness_mm
-                raise InputError(
-                    f"volume: expected it inside the cylinder's inner face, of radius {inner:g} "
-                    f"mm, but it reaches {inner + outside:.4g} mm from the axis"
-                )
-        elif depth.min() <= 0.0:
-            raise InputError(
-                "volume: expected it to lie behind the wall's inner face, "
-                f"but it reaches {-depth.min():.4g} mm in front of it"
-            )
-        elif wall.depth_mm is not None and depth.max() > wall.depth_mm:
-            raise InputError(
-                "volume: expected it to lie in front of the back wall "
-                f"(wall.depth_mm = {wall.depth_mm:g}), but it reaches {depth.max():.4g} mm deep"
-            )
+            inner = wall.outer_radius_mm - wall.thickness_mm
+            place = f"inside the cylinder's inner face, of radius {inner:g} mm"
+            reach = f"{inner - depth.min():.4g} mm from the axis"
+        elif depth.min() <= 0.0 or wall.depth_mm is None:
+            place = "to lie behind the wall's inner face"
+            reach = f"{-depth.min():.4g} mm in front of it"
+        else:
+            place = f"to lie in front of the back wall (wall.depth_mm = {wall.depth_mm:g})"
+            reach = f"{depth.max():.4g} mm deep"
+        back = np.inf if isinstance(wall, CylinderWall) else wall.depth_mm or np.inf
+        if depth.min() <= 0.0 or depth.max() > back:
+            raise InputError(f"volume: expected it {place}, but it reaches {reach}")
 
 
 def check_occluder(
@@ -163,9 +158,9 @@ def check_occluder(
     ]
     depth = min(depths, default=-1.0)  # of the disc behind the wall's outer face
     if depth >= 0.0:
+        reach = f"{depth:.4g} mm behind the wall's outer face"
         raise InputError(
-            f"{where}: expected it wholly in front of the wall, "
-            f"but it reaches {depth:.4g} mm behind the wall's outer face"
+            f"{where}: expected it wholly in front of the wall, but it reaches {reach}"
         )
     for camera in cameras:
         forward = np.asarray(camera.rotation[2])
@@ -173,16 +168,13 @@ def check_occluder(
             end - float(np.dot(camera.center_mm, forward)) for end in disc.span_mm(forward)
         )
         if near <= 0.0:
-            raise InputError(
-                f"{where}: expected it wholly in front of all cameras, "
-                f"but it reaches {-near:.4g} mm behind {camera.name}"
-            )
+            reach = f"but it reaches {-near:.4g} mm behind {camera.name}"
+            raise InputError(f"{where}: expected it wholly in front of all cameras, {reach}")
         excess = far - float(((corners - camera.center_mm) @ forward).min())
         if not walls and excess >= 0.0:
-            raise InputError(
-                f"{where}: expected it wholly between the cameras and the volume, "
-                f"but for {camera.name} it reaches {excess:.4g} mm into the volume"
-            )
+            place = "wholly between the cameras and the volume"
+            reach = f"for {camera.name} it reaches {excess:.4g} mm into the volume"
+            raise InputError(f"{where}: expected it {place}, but {reach}")
 
 
 def check_backlight(
@@ -201,26 +193,20 @@ def check_backlight(
         if not isinstance(wall, Wall):
             continue  # it is refused
         if wall.depth_mm is None:
-            raise InputError(
-                f"{where}: expected wall.depth_mm, the back wall's position, "
-                "for light from behind the tank"
-            )
+            why = "the back wall's position, for light from behind the tank"
+            raise InputError(f"{where}: expected wall.depth_mm, {why}")
         outer = wall.thickness_mm + wall.depth_mm + rear_mm
         depth = float(wall.depth_of(center))
         if depth <= outer:
-            raise InputError(
-                f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, "
-                f"got {depth:.4g} mm"
-            )
+            place = f"behind the back wall, {outer:g} mm behind the outer face"
+            raise InputError(f"{where}: expected it {place}, got {depth:.4g} mm")
     for camera in cameras:
         forward = np.asarray(camera.rotation[2])
         depth = float((center - camera.center_mm) @ forward)
         far = float(((corners - camera.center_mm) @ forward).max())
         if depth <= far:
-            raise InputError(
-                f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, "
-                f"got {depth:.4g} mm"
-            )
+            place = f"behind the volume, {far:.4g} mm before {camera.name}"
+            raise InputError(f"{where}: expected it {place}, got {depth:.4g} mm")
 
 
 _MOST_CAMERAS = 1000
@@ -288,13 +274,9 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         expected = f"expected at most {_MOST_CAMERAS} cameras"
         raise InputError(f"{source}: cameras.layout: {expected}, got {count}")
     names = [f"camera_{number:02d}" for number in range(count)]
-    for fault in (
-        *scene.sensor.faults_by_camera(count),
-        *scene.cameras.faults_by_camera(names),
-        *(scene.timing.faults_by_camera(count) if scene.timing else ()),
-    ):
-        with check.collect():
-            raise InputError(fault)
+    check.faults += scene.sensor.faults_by_camera(count)
+    check.faults += scene.cameras.faults_by_camera(names)
+    check.faults += scene.timing.faults_by_camera(count) if scene.timing else ()
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     corners = np.asarray(scene.volume.center_mm + signs * np.asarray(scene.volume.size_mm))
     with check.collect():
@@ -319,10 +301,8 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         steps = np.array(list(itertools.product(np.linspace(0.0, 1.0, 9), repeat=3)))
         lattice = corners[0] + steps * (corners[-1] - corners[0])
         if not check.faults and not any_in_view(cameras, lattice):
-            raise InputError(
-                "volume: expected it in view of at least one camera, "
-                f"but no camera of {len(cameras)} sees any of it"
-            )
+            seen = f"but no camera of {len(cameras)} sees any of it"
+            raise InputError(f"volume: expected it in view of at least one camera, {seen}")
     check.finish()
     return Rig(cameras, grid, discs)
 
@@ -366,12 +346,11 @@ def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> t
     kinds: dict[str, list[str]] = {}  # faults that differ by numbers only
     for fault in check.faults:
         kinds.setdefault(re.sub(r"[-+.\de]+", "", fault), []).append(fault)
-    if kinds:
-        faults = [
-            same[0] if len(same) == 1 else f"{same[0]} (and {len(same) - 1} more cameras)"
-            for same in kinds.values()
-        ]
-        raise InputError.from_faults("", faults)
+    check.faults = [
+        same[0] if len(same) == 1 else f"{same[0]} (and {len(same) - 1} more cameras)"
+        for same in kinds.values()
+    ]
+    check.finish()
     return tuple(cameras)
 
 

@@ -26,8 +26,11 @@ def focus(camera: Camera, target: F64, focus_mm: float | None) -> Camera:
     """Move the image plane so that `focus_mm`, or else the target, is sharp."""
     distance = focus_mm or apparent_distance_mm(camera, target)
     if not distance > camera.focal_length_mm:
-        expected = f"expected more than the focal length {camera.focal_length_mm:g} mm"
-        raise InputError(f"cameras.focus_mm: {camera.name}: {expected}, got {distance:.4g}")
+        place = f": {camera.name} at {list(camera.center_mm)} mm"
+        where = f".focus_mm: {camera.name}" if focus_mm else place
+        expected = f"expected a focus farther than the focal length {camera.focal_length_mm:g} mm"
+        got = f"{distance:.4g} mm" if distance > 0.0 else "none"
+        raise InputError(f"cameras{where}: {expected}, got {got}")
     inverse = 1.0 / camera.focal_length_mm - 1.0 / distance
     return replace(camera, principal_distance_mm=1.0 / inverse)
 

@@ -22,6 +22,9 @@ def find(name: str | Path, folder: str) -> Path:
 
     Raises InputError: no such file, with the nearest name.
     """
+    kind = "suite" if folder == "scenes/suites" else "scene"
+    if not isinstance(name, str | Path):
+        raise InputError(f"expected a {kind}, its file or its name, got {type(name).__name__}")
     direct = Path(name)
     longest = max((len(part.encode("utf-8", "replace")) for part in direct.parts), default=0)
     if longest > LONGEST_PART or "\0" in str(name):
@@ -35,7 +38,6 @@ def find(name: str | Path, folder: str) -> Path:
     files = {file.stem: file for inside in folders for file in inside.glob("*.toml")}
     if stem in files and direct.parent in (Path(), Path(folder), Path("suites")):
         return files[stem]
-    kind = "suite" if folder == "scenes/suites" else "scene"
     near = nearest_word(stem, files, 0.6)
     hint = f"did you mean {near}?" if near else f"sabench list --kind {kind} has their names"
     raise InputError(f"{name}: expected a file or the name of a bundled {kind}; {hint}")
@@ -56,7 +58,20 @@ def load_scene(path: str | Path) -> Scene:
 def read_scene(path: str | Path) -> Scene:
     """Read a scene file without a look at its geometry: ten times as quick."""
     file = find(path, "scenes")
-    return parse_scene(read_toml(file), str(file), file.parent)
+    return parse_scene(read_kind(file, "scene"), str(file), file.parent)
+
+
+# keys of one kind of file alone
+_KEYS = {"scene": {"volume", "grid"}, "suite": {"scenes", "cases", "solvers", "recordings"}}
+
+
+def read_kind(file: Path, kind: str) -> dict[str, Any]:
+    """Parse a TOML file; raise an InputError if it is another kind of file."""
+    values = read_toml(file)
+    for other, keys in _KEYS.items():
+        if (has := keys & values.keys()) and not _KEYS[kind] & values.keys():
+            raise InputError(f"{file}: expected a {kind}, got a {other}: {', '.join(sorted(has))}")
+    return values
 
 
 def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None) -> Scene:

@@ -10,6 +10,8 @@ from pydantic import Field, model_validator
 
 from sabench.utils.validation import Positive, Table, refuse
 
+_BY_CAMERA = ("camera_exposure", "camera_gain", "camera_black_dn")
+
 
 class Sensor(Table):
     """Sensor that turns photons into grey values."""
@@ -88,20 +90,14 @@ class Sensor(Table):
 
         It has no keys by camera.
         """
-        exposure, gain, black = (
-            None if values is None else values[number]
-            for values in (self.camera_exposure, self.camera_gain, self.camera_black_dn)
-        )
-        return self.model_copy(
-            update={
-                "exposure_s": self.exposure_s * (1.0 if exposure is None else exposure),
-                "gain_dn_e": self.gain_dn_e * (1.0 if gain is None else gain),
-                "black_level_dn": self.black_level_dn if black is None else black,
-                "camera_exposure": None,
-                "camera_gain": None,
-                "camera_black_dn": None,
-            }
-        )
+        own: dict[str, float | None] = dict.fromkeys(_BY_CAMERA)
+        if self.camera_exposure is not None:
+            own["exposure_s"] = self.exposure_s * self.camera_exposure[number]
+        if self.camera_gain is not None:
+            own["gain_dn_e"] = self.gain_dn_e * self.camera_gain[number]
+        if self.camera_black_dn is not None:
+            own["black_level_dn"] = self.camera_black_dn[number]
+        return self.model_copy(update=own)
 
     def levels_by_camera(self, cameras: int) -> tuple[tuple[float, float], ...]:
         """List the grey values of no light and of saturation of each camera.
@@ -115,7 +111,7 @@ class Sensor(Table):
 
     def faults_by_camera(self, cameras: int) -> Iterator[str]:
         """List the keys by camera that have another number of values."""
-        for name in ("camera_exposure", "camera_gain", "camera_black_dn"):
+        for name in _BY_CAMERA:
             values = getattr(self, name)
             if values is not None and len(values) != cameras:
                 expected = f"expected one value for each of {cameras} cameras"
@@ -135,9 +131,10 @@ class Sensor(Table):
             yield "hot_e", "expected hot_pixels, their share, next to it, got none"
         if self.hot_e is not None and self.hot_e > well:
             yield "hot_e", f"expected at most full_well_e = {well:g} electrons, got {self.hot_e:g}"
-        if self.camera_black_dn is not None and max(self.camera_black_dn, default=0.0) >= white:
-            got = max(self.camera_black_dn)
-            yield "camera_black_dn", f"expected less than the white level {white}, got {got:g}"
+        levels = {"camera_black_dn": self.camera_black_dn, "black_level_dn": (self.black_level_dn,)}
+        for key, values in levels.items():
+            if values and max(values) >= white:
+                yield key, f"expected less than the white level {white}, got {max(values):g}"
 
 
 class Render(Table):

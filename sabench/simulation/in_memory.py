@@ -67,7 +67,9 @@ def _frames(scene: Scene | str | Path, seed: int, backend: Renderer) -> Frames:
 
 
 def _simulate_frame(frames: Frames, frame: int) -> Shot:
-    scene, content = frames.scene, frames.at(frame)
+    if frame not in range((scene := frames.scene).frames):
+        raise InputError(f"frame: expected 0 to {scene.frames - 1}, got {frame!r}")
+    content = frames.at(frame)
     assert content.tracers is not None
     images, views = record_frame(content)
     lowest = None

@@ -29,8 +29,9 @@ from sabench.simulation.recording.schedule import (
 from sabench.utils import memory
 from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
-from sabench.utils.files import refuse_existing
+from sabench.utils.files import check_replaceable, refuse_existing
 from sabench.utils.progress import progress_bar
+from sabench.utils.rng import stream
 from sabench.worlds.bubbles_and_bodies import has_code
 
 _WORKING_BYTES = 40  # per pixel in work: photons, radiance and noise as doubles, then grey values
@@ -97,8 +98,10 @@ def generate(
     asked for, or frames that failed again and again.
     """
     loaded, label = load_checked(scene, name, seed, jobs=jobs)
-    target, job = Path(out).absolute(), Job(loaded, seed, _renderer(loaded, backend, label), label)
+    target, renderer = Path(out).absolute(), renderer_of(loaded, backend, label)
+    job = Job(loaded, seed, renderer, label)
     refuse_existing(target, overwrite=overwrite)
+    check_replaceable(target, "manifest.json")
     check_affordable(label, loaded, build_rig(loaded, label), target.parent)
     with _parts(target, job) as parts:
         recorder = recorder_of(loaded, seed, job.renderer, label)
@@ -116,11 +119,10 @@ def load_checked(
     scene: Scene | str | Path, name: str | None, seed: int, **counts: int
 ) -> tuple[Scene, str]:
     """Check a seed and numbers from 1 on, and load the scene with its name in errors."""
-    if not 0 <= seed < 2**63:
-        raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
+    stream(seed, "scene")  # refuses a bad seed
     for key, count in counts.items():
-        if count < 1:
-            raise InputError(f"{key}: expected 1 or more, got {count}")
+        if not isinstance(count, int) or count < 1:
+            raise InputError(f"{key}: expected 1 or more, got {count!r}")
     if isinstance(scene, Scene):
         return scene, name or scene.title
     return load_scene(scene), name or Path(scene).stem
@@ -215,7 +217,8 @@ def put_together(
         recorder.finish(writer, parts)
 
 
-def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
+def renderer_of(scene: Scene, asked: Renderer, label: str) -> str:
+    """Choose a scene's renderer; raises InputError for one that cannot render it."""
     world = scene.world
     if isinstance(world, BubbleWorld):
         if asked == "splat":

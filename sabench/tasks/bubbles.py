@@ -21,7 +21,7 @@ from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import NEAR, AnyBubbles, detection_scores, match_bubbles
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import trajectory_scores
-from sabench.plotting.drawing import Circles, Discs, Figure, Panel
+from sabench.plotting.drawing import Circles, Discs, Figure, Panel, draw
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (
@@ -155,7 +155,8 @@ class BubblesTask(FrameByFrame):
         estimates="Every bubble as a circle of its radius, coloured by radius; X or Z to the "
         "right, Y down.",
         cameras="First frame of every camera.",
-        errors="Green: found; blue: missed; orange: ghosts.",
+        errors="Found: a bubble paired with a true one, closer than half its radius; missed: a "
+        "true one without a pair; ghost: an estimated one without a pair.",
         wide=True,
     )
 
@@ -228,14 +229,10 @@ class BubblesTask(FrameByFrame):
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the bubbles of the first frame, front and side view, as a PNG."""
-        from sabench.plotting.drawing import draw
-
         return draw(bubble_figure(self.read(data, source, 0), "bubbles"))
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
         """Draw the found, missed and ghost bubbles as a PNG."""
-        from sabench.plotting.drawing import draw
-
         return draw(detection_figure(self.read(data, result, 0), data.bubbles(0)))
 
 

@@ -115,6 +115,7 @@ class CalibrationTask(Task):
         "their magnification.",
         cameras="Detected points of the target in every camera, each frame in its own grey, or the "
         "images of the particles.",
+        wide=True,
     )
 
     def scores_data(self, data: Dataset) -> bool:
@@ -229,9 +230,8 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
         visible = valid & camera.contains(projected)
         noise = noise_px * rng.standard_normal((int(visible.sum()), 2))
         pixels[number, visible] = projected[visible] + noise
-    held_out = points_mm, pixels
-    others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
-    return scores | others
+    cameras = answer.cameras, data.true_cameras
+    return scores | held_out_scores(*cameras, points_mm, pixels, motion, aligned)
 
 
 @contextlib.contextmanager

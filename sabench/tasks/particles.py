@@ -18,7 +18,7 @@ from sabench.metrics import particle_detection
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
 from sabench.metrics.particle_bounds import brier_score, coverage, rms_over_bound
 from sabench.plotting import pictures
-from sabench.plotting.kinds import DUPLICATE, FOUND, GHOST
+from sabench.plotting.kinds import DEFINITION, DUPLICATE, FOUND, GHOST
 from sabench.tasks import particles_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.solver_call import SolverClock, image_sequence
@@ -111,7 +111,7 @@ class ParticlesTask(Task):
         estimates="Found particles as Gaussian blobs on the grid, in the same window of the middle "
         "z plane of the scored volume, x to the right, y down.",
         cameras=PARTICLE_IMAGES,
-        errors="Green: found; blue: missed; orange: ghosts; pink: duplicates.",
+        errors=DEFINITION,
     )
 
     def case(self, data: Dataset) -> ImageSequence:

@@ -21,7 +21,6 @@ from sabench.metrics.trajectories import (
     identity_scores,
     link_scores,
     median_errors,
-    vector_scores,
 )
 from sabench.tasks.solver_call import SolverClock, answers_of_frames
 from sabench.tasks.task import Figures
@@ -116,7 +115,7 @@ def score_over_time(
         [part.true.id for part in parts],
         [part.pairs for part in parts],
     )
-    scores = link_scores(*linked, times, sequences) | vector_scores(*linked, sequences)
+    scores = link_scores(*linked, times, sequences)
     sightings = [[_sighting(grid, parts[n]) for n in frames] for frames in sequences]
     scores |= identity_scores(sightings) | _motion_scores(parts, times, sequences)
     return {key: finite_or_none(value) for key, value in scores.items()}

@@ -6,7 +6,7 @@ to measure chance detections.
 """
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from sabench import plugins
 from sabench.api import FoundParticles, Reconstruction
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result
-from sabench.metrics.averages import finite_or_none, mean_of_finite, root_mean_square
+from sabench.metrics.averages import finite_or_none, mean_of_each, mean_of_finite, root_mean_square
 from sabench.metrics.trajectories import jitter_mm, share_followed
 from sabench.plotting import pictures
 from sabench.plotting.card import Card
@@ -183,7 +183,7 @@ class _Particles:
                     "ghost_percent": 100.0 * ghosts / rest if rest > 0.0 else None,
                 }
             )
-        return _means(figures)
+        return mean_of_each(figures)
 
     def scrambled(self, camera: int, again: Result) -> Figures:
         """Count the particles of a result with a scrambled camera that its images show."""
@@ -286,7 +286,7 @@ def _judge(judge: Any, *, solve_again: bool) -> Quality:
     if solve_again:
         for number, camera in enumerate(progress_bar(cameras, "quality: solve again")):
             figures[camera.name] |= _again(judge, number, notes)
-    whole = _means(list(figures.values())) | judge.over_time()
+    whole = mean_of_each(list(figures.values())) | judge.over_time()
     return Quality({key: whole.get(key) for key in FIGURES}, figures, judge.left(), tuple(notes))
 
 
@@ -321,10 +321,3 @@ def _solved_again(
 
 def _read_all(result: Result, frames: int) -> list[FoundParticles]:
     return [result.read(FoundParticles, frame) for frame in range(frames)]
-
-
-def _means(figures: list[Any]) -> Figures:
-    """Average each figure over the cameras or frames that have it."""
-    keys = dict.fromkeys(key for row in figures for key in row)
-    every: list[Mapping[str, float | None]] = figures
-    return {key: mean_of_finite(row.get(key) for row in every) for key in keys}

@@ -25,7 +25,7 @@ from sabench.tasks.task import BETTER
 from sabench.tasks.visible_files import open_sandbox, view_of_import, view_of_plugin
 from sabench.utils import backend, memory
 from sabench.utils.errors import InputError
-from sabench.utils.files import complete_or_nothing, refuse_existing
+from sabench.utils.files import check_replaceable, complete_or_nothing, refuse_existing
 from sabench.utils.number_text import format_number
 from sabench.utils.processes.call import call_isolated, preload
 from sabench.utils.processes.confinement import can_confine
@@ -84,6 +84,7 @@ def solve(
     overwrite : replace an existing result.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    check_replaceable(Path(out))
     if external_programs.is_program(solver):
         return external_programs.run_program(
             solver, data, Path(out), parameters=parameters, limits=limits, overwrite=overwrite

@@ -66,10 +66,9 @@ def call_iterations(
     """
     clock, number, due, following = SolverClock(), 0, 1, 2
     with clock.running(name):
-        reason = algorithm.skip(case)
-        steps = iter(()) if reason else algorithm.iterations(case)
-    if reason:
-        raise DeclinedError(f"solver {name} declines this case: {reason}")
+        if reason := algorithm.skip(case):
+            raise DeclinedError(reason)
+        steps = algorithm.iterations(case)
     make: Callable[[], Reconstruction] | None = None
     while True:
         with clock.running(name):
@@ -109,14 +108,12 @@ def call_solver(
     """
     clock = SolverClock()
     with clock.running(name, where):
-        reason = algorithm.skip(case)
-        answer = None if reason else algorithm.solve(case)
-    if reason:
-        raise DeclinedError(f"solver {name} declines this case: {reason}")
+        if reason := algorithm.skip(case):
+            raise DeclinedError(reason)
+        answer = algorithm.solve(case)
     if not isinstance(answer, expected):
-        raise InputError(
-            f"solver {name}: expected {expected.__name__}, got {type(answer).__name__}"
-        )
+        sentence = f"solver {name}: expected {expected.__name__}, got {type(answer).__name__}"
+        raise InputError(sentence)
     return answer, clock.seconds
 
 

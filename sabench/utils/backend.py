@@ -65,9 +65,8 @@ def choose() -> Backend:
     if devices:
         return Backend("cuda", None, f"CUDA driver with {devices} device(s)")
     if asked == "cuda":
-        raise InputError(
-            f"{CHOICE_VARIABLE}=cuda: expected a CUDA driver with a device, found none"
-        )
+        sentence = f"{CHOICE_VARIABLE}=cuda: expected a CUDA driver with a device, found none"
+        raise InputError(sentence)
     return _choose_llvm()
 
 

@@ -35,9 +35,9 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
     target removes.
     """
     target = target.absolute()
-    target.parent.mkdir(parents=True, exist_ok=True)
     clear_abandoned(target)
     refuse_existing(target, overwrite=overwrite)
+    target.parent.mkdir(parents=True, exist_ok=True)
     with _temporary(target, f".{target.name}.partial-{os.getpid()}") as partial:
         yield partial
         put_in_place(target, partial)
@@ -76,7 +76,8 @@ def put_in_place(target: Path, partial: Path) -> None:
     A folder takes two steps; `clear_abandoned` repairs a death between them.
     """
     _flush(partial)
-    if not target.is_dir() and not (target.exists() and partial.is_dir()):
+    check_replaceable(target, *_names(partial))
+    if not target.is_dir():
         partial.replace(target)
         return
     retired = target.parent / f".{target.name}.retired-{os.getpid()}"
@@ -89,8 +90,28 @@ def put_in_place(target: Path, partial: Path) -> None:
         _remove(retired)
 
 
+def check_replaceable(target: Path, *names: str) -> None:
+    """Raise an InputError if files would be lost that do not come again.
+
+    `names` are those in the folder to come; none: a file. A data set replaces any other.
+    """
+    old = _names(target)
+    lost = set() if "manifest.json" in old & {*names} else old - {*names}
+    if lost or (names and target.is_file()):
+        wanted = "folder that sabench made" if names else "file"
+        found = f"a folder with {min(lost)}" if lost else "a file"
+        expected = f"expected a {wanted} to overwrite, found {found}"
+        raise InputError(f"{target}: {expected}: choose another name")
+
+
+def _names(path: Path) -> set[str]:
+    return {entry.name for entry in path.iterdir()} if path.is_dir() else set()
+
+
 def refuse_existing(target: Path, *, overwrite: bool) -> None:
-    """Raise an InputError if there is a file that may not be replaced."""
+    """Raise an InputError for a path with ~, or one that may not be replaced."""
+    if "~" in target.parts:
+        raise InputError(f"{target}: expected a path without ~: write out the home folder")
     if target.exists() and not overwrite:
         raise InputError(f"{target} exists already: choose another name, or say --overwrite")
 
@@ -203,9 +224,11 @@ def read_json(path: Path) -> Any:
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file; raise an InputError if it is missing or broken."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(text := path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected a TOML file, got {error}") from error
+        at = re.search(r"at line (\d+)", str(error))
+        line = f": {text.splitlines()[int(at[1]) - 1].strip()[:80]}" if at else ""
+        raise InputError(f"{path}: expected a TOML file, got {error}{line}") from error
 
 
 def inside(root: Path, name: str) -> Path:

@@ -1,20 +1,12 @@
 """Packages of the extra `full`, which scoring does without."""
 
 # by the names of their modules; docs/developing/dependencies.md says what each is for
-FULL = frozenset(
-    {
-        "OpenEXR",
-        "cv2",
-        "drjit",
-        "jinja2",
-        "matplotlib",
-        "mitsuba",
-        "skimage",
-        "threadpoolctl",
-        "trimesh",
-        "vl_convert",
-    }
-)
+# fmt: off
+FULL = frozenset({
+    "OpenEXR", "cv2", "drjit", "jinja2", "matplotlib", "mitsuba", "skimage", "threadpoolctl",
+    "trimesh", "vl_convert",
+})
+# fmt: on
 
 
 def lacking(error: Exception) -> str | None:

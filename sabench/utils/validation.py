@@ -166,9 +166,25 @@ def validate(model: type[Model], values: dict[str, Any], source: str, prefix: st
     named first.
     """
     try:
-        return model.model_validate(values)
+        made = model.model_validate(values)
     except ValidationError as error:
         raise InputError.from_faults(source, sentences(model, error, prefix)) from error
+    if faults := [f"{prefix}{fault}" for fault in _recast("", values, made)]:
+        raise InputError.from_faults(source, faults)
+    return made
+
+
+def _recast(key: str, given: Any, made: Any) -> Iterator[str]:
+    """Name values that pydantic took for another kind: "3" or true for a number."""
+    made = dict(made) if isinstance(made, BaseModel) else made
+    if isinstance(given, list | tuple) and isinstance(made, list | tuple):
+        given, made = dict(enumerate(given)), dict(enumerate(made))
+    if isinstance(given, dict) and isinstance(made, dict):
+        for name in filter(made.__contains__, given):
+            yield from _recast(f"{key}.{name}".removeprefix("."), given[name], made[name])
+    elif (kinds := {type(given), type(made)}) & {str, bool} and kinds & {int, float}:
+        expected = "true or false" if isinstance(made, bool) else "a number"
+        yield f"{key}: expected {expected}, got {printable(repr(given))}"
 
 
 class Collector:

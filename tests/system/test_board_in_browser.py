@@ -198,11 +198,8 @@ def test_accuracy_against_time_has_points_with_tips(browser: Browser, graded: Pa
     assert browser.count(".plot") == 0
     browser.follow("//a[text()='Accuracy against time']")
     browser.wait(DRAWN)
-    assert [label.split(",")[0] for label in labels(browser, 0)] == [
-        "a: Q 0.523 ± 0.063",
-        "b: Q 0.417 ± 0.038",
-        "c: Q 0.530 ± 0.050",
-    ]
+    points = [label.split(",")[0] for label in labels(browser, 0)]
+    assert points == ["a: Q 0.523 ± 0.063", "b: Q 0.417 ± 0.038", "c: Q 0.530 ± 0.050"]
     assert browser.texts(".legend li") == ["a", "b", "c"]
     marks = "path => path.getAttribute('d') + path.getAttribute('fill')"
     paths = "[...document.querySelectorAll('.legend path')]"
@@ -214,7 +211,7 @@ def test_accuracy_against_time_has_points_with_tips(browser: Browser, graded: Pa
     )
     browser.press("//select/option[@value='kernels']")
     browser.wait(DRAWN)
-    assert "reference kernels" in browser.ask("document.querySelector('.plot').textContent")
+    assert "of the reference" in browser.ask("document.querySelector('.plot').textContent")
     assert browser.complaints() == []
 
 
@@ -223,10 +220,8 @@ def test_difficulty_and_axes_show_scores_and_losses(browser: Browser, graded: Pa
     browser.open(graded, "#view=why")
     browser.wait(DRAWN)
     by_level = labels(browser, 0)
-    assert [label for label in by_level if label.startswith("a: ")] == [
-        "a: Q 0.523 ± 0.063, standard",
-        "a: Q 0.623 ± 0.063, easy",
-    ]
+    own = [label for label in by_level if label.startswith("a: ")]
+    assert own == ["a: Q 0.523 ± 0.063, standard", "a: Q 0.623 ± 0.063, easy"]
     assert len(by_level) == 7  # `late` in the standard case alone
     lost = labels(browser, 1)
     half = 2.0**0.5 * mean_of(Q["a"]).half_width  # type: ignore[union-attr]
@@ -250,8 +245,9 @@ def test_pictures_come_with_their_case_only(browser: Browser, page: Path) -> Non
         browser.texts("#viewer option") == ["truth", "add", "add: errors", "ten", "ten: errors"] * 2
     )
     browser.wait("[...document.images].every(image => image.complete)")
-    # two figures on top of each other, and the cameras
-    assert browser.ask("[...document.images].map(image => image.naturalWidth > 0)") == [True] * 3
+    # the cameras, the truth next to errors and estimates, and two figures on top of each other
+    assert browser.ask("[...document.images].map(image => image.naturalWidth > 0)") == [True] * 9
+    assert browser.texts(".row figcaption b") == ["truth", "add", "ten"] * 2
     assert browser.ask("[...document.images].every(image => image.alt)")
 
 
@@ -387,6 +383,7 @@ CATCH = (
     "HTMLAnchorElement.prototype.click = function () { saved.push(this.download); }; "
     "return true; })()"
 )
+MEASURED = {"date": "2026-01-02", "versions": {"sabench": "9.8"}, "code_hash": "c0de" * 16}
 STEPS = [[1, 2.0, 0.6], [2, 3.0, 0.7], [3, 4.0, 0.75]]  # iterations, their seconds and scores
 VIEWS = ("", "#view=table", "#view=time", "#view=why", "#view=case&case=standard-standard-splat")
 
@@ -396,7 +393,7 @@ def trial() -> list[Record]:
     levels = {"easy": 0.9, "standard": 0.8, "hard": 0.5}
     solvers = {"good": 0.0, "close": -0.001, "fair": -0.2, FORMULA: -0.3}
     curve = {f"peak_f1_within_{number / 10:g}": number / 10 for number in range(1, 11)}
-    head: dict[str, Any] = {"suite": "trial", "reference_s": 0.5, "rms_px": 0.2, **curve}
+    head: dict[str, Any] = MEASURED | {"reference_s": 0.5, "rms_px": 0.2, "suite": "trial"} | curve
     records = [
         record(
             solver,
@@ -422,7 +419,7 @@ def trial() -> list[Record]:
             dataset=f"{ppp}-{seed}",
             **head,
         )
-        for ppp in (0.05, 0.1, 0.2)
+        for ppp in (0.05, 0.1, 0.15, 0.2)
         for solver, change in solvers.items()
         for seed in range(1, 4)
     ]
@@ -446,14 +443,31 @@ def test_the_page_opens_with_the_ranking_and_curves(browser: Browser, ranking: P
     assert browser.ask(RANKS) == [["=1"] * 3, ["=1"] * 3, ["4", "4", "3"], ["3", "3", DASH]]
     assert browser.texts(".board b.score") == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
     browser.wait(DRAWN)
+    assert "measured 2026-01-02sabench 9.8, code c0dec0de" in browser.texts(".board th")[-1]
+    assert {"asa", "msa"} <= set(re.findall(r"\w+", browser.texts(".unmeasured")[0]))
+    wide = "[...document.querySelectorAll('.board img')].map(image => image.clientWidth >= 240)"
+    assert browser.ask(wide) == [True] * (3 + 6)  # the truth, and two solvers, in three cases
     assert browser.count(".plot") == 2  # over the density and over the tolerance
-    bands = "document.querySelectorAll('.plot')[0].querySelectorAll('.mark-area path').length"
-    assert browser.ask(bands) == 4
-    points = "document.querySelectorAll('.plot')[1].querySelectorAll('.mark-symbol path').length"
-    assert browser.ask(points) == 4 * 10
+    first, second = (f"#content > figure:nth-of-type({number}) " for number in (1, 2))
+    assert browser.count(f"{first} .mark-area path") == 4
+    lines = f"[...document.querySelectorAll('{first} .mark-line path')]"
+    dashes = browser.ask(f"{lines}.map(path => path.getAttribute('stroke-dasharray'))")
+    assert len(set(dashes)) == 4
+    assert browser.count(f"{second} .mark-symbol path") == 4 * 10
     over = ("one property of the scene", "the matching tolerance, standard")
     assert browser.texts("h3") == [f"Score over {one}" for one in over]
     assert browser.complaints() == []
+
+
+@pytest.mark.slow
+def test_fewer_than_four_points_are_side_by_side(browser: Browser, tmp_path: Path) -> None:
+    few = [one for one in trial() if one.get("case") not in ("dense-0.1", "dense-0.2")]
+    board.build_page(few, tmp_path, tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    browser.wait(DRAWN)
+    marks = "[...document.querySelector('.plot').querySelectorAll('.mark-symbol path')]"
+    places = browser.ask(f"{marks}.map(one => one.getBoundingClientRect().left)")
+    assert len(set(places)) == len(places) == 2 * 4
 
 
 @pytest.mark.slow

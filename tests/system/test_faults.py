@@ -363,16 +363,21 @@ def test_overwriting_keeps_the_old_one_until_the_new_is_whole(tmp_path: Path) ->
     target = tmp_path / "set"
     target.mkdir()
     (target / "old").write_text("old")
-
-    def fail() -> None:
-        with complete_or_nothing(target, overwrite=True) as path:
-            path.mkdir()
-            raise InputError("on the way")
-
-    with pytest.raises(InputError):
-        fail()
+    with refused("on the way"), complete_or_nothing(target, overwrite=True) as path:
+        path.mkdir()
+        raise InputError("on the way")
     assert (target / "old").read_text() == "old"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_overwriting_deletes_no_files_of_others(tmp_path: Path) -> None:
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set/a.jpg").touch()
+    for name, wanted in ("set", "a folder with a.jpg"), ("set/a.jpg", "a file"), ("~/set", "~"):
+        with refused(wanted), complete_or_nothing(tmp_path / name, overwrite=True) as path:
+            path.mkdir()
+            (path / "b.jpg").touch()
+    assert [entry.name for entry in tmp_path.rglob("*")] == ["set", "a.jpg"]
 
 
 BUSY = "while True: pass"

@@ -153,7 +153,7 @@ def density_key(scene: Scene) -> str:
 MODEL = Path(__file__).with_name("expected_scores.json")
 GHOST_FLOOR = 0.01  # ghosts per particle that count as none
 _COST = 0.02  # of Q
-_EDGE = 0.05  # relative: so little outside of the range is inside
+EDGE = 0.05  # relative: so little outside of the range is inside
 _LEAST = 0.005  # distance of scores from 0 and 1 for the logit
 
 _Values = Mapping[str, float]
@@ -168,7 +168,7 @@ class Feature(NamedTuple):
 
 FEATURES: dict[str, Feature] = {
     "cameras": Feature(lambda v: v["cameras"]),
-    "source_density": Feature(lambda v: v["source_density"]),
+    "ppp_center": Feature(lambda v: v["ppp_center"]),
     "image_px": Feature(lambda v: v["image_px"]),
     "peak_snr": Feature(lambda v: v["peak_snr"]),
     "elongation": Feature(lambda v: v["elongation"]),
@@ -176,10 +176,12 @@ FEATURES: dict[str, Feature] = {
     "voxel_length": Feature(lambda v: v["voxel_length"]),
     "coarsest / inner pixel": Feature(lambda v: v["pixel_coarsest_mm"] / v["pixel_center_mm"]),
     "light_scatter": Feature(lambda v: v["light_scatter"], False),
+    "light_spread": Feature(lambda v: v["light_spread"], False),
     "(calibration_px / image_px)^2": Feature(
         lambda v: (v["calibration_px"] / v["image_px"]) ** 2, False
     ),
 }
+_IMAGE = list(FEATURES).index("image_px")
 _CALIBRATION = list(FEATURES).index("(calibration_px / image_px)^2")
 
 
@@ -238,6 +240,7 @@ class ScoreModel:
     low, high : (feature,) range of the fitted scenes.
     mean, scale : (feature,) of their features with logarithms.
     processes : of linked scores, by the keys of `SCORES`.
+    widening : factors from errors of means over data sets to those of single ones.
     """
 
     low: F64
@@ -245,15 +248,18 @@ class ScoreModel:
     mean: F64
     scale: F64
     processes: Mapping[str, GaussianProcess]
+    widening: Mapping[str, float]
 
     def predict(self, key: str, features: F64) -> tuple[F64, F64]:
         """Predict a score (n,) of features (n, feature), and its standard error.
+
+        Both are those of a single data set.
 
         Features are clipped to the fitted range.
         """
         inside = np.clip(features, self.low, self.high)
         value, error = self.processes[key].predict((transform(inside) - self.mean) / self.scale)
-        score = SCORES[key].score
+        score, error = SCORES[key].score, self.widening[key] * error
         spread = unlink(score, value + error) - unlink(score, value - error)
         return unlink(score, value), spread / 2.0
 
@@ -291,32 +297,40 @@ def read_model(stored: Mapping[str, Any]) -> ScoreModel:
             link_function(score.score, values[measured]),
             kernel,
         )
-    return ScoreModel(low, high, mean, scale, processes)
+    return ScoreModel(low, high, mean, scale, processes, stored["widening"])
 
 
 _DEVIATIONS = ("amplitude", "slope", "noise")
 
 
-def plan_scores(scene: Scene, sections: Sequence[Section]) -> Section | None:
-    """Predict scores from the figures of a plan; None where a figure is missing."""
+def feature_values(sections: Sequence[Section]) -> F64 | None:
+    """Compute the features (feature,) of a plan; None where a figure is missing."""
     values = {
         quantity.key: quantity.value
         for section in sections
         for quantity in section.quantities
         if quantity.value is not None
     }
-    if not {"elongation", "source_density"} <= values.keys() or not values["peak_snr"]:
+    if not {"elongation", "ppp_center"} <= values.keys() or not values["peak_snr"]:
         return None
-    model, features = load_model(), features_of(values)
+    return features_of(values)
+
+
+def plan_scores(sections: Sequence[Section]) -> Section | None:
+    """Predict scores from the figures of a plan; None where a figure is missing."""
+    features = feature_values(sections)
+    if features is None:
+        return None
+    model = load_model()
     if outside := _outside(model, features):
-        why = f"none, {' and '.join(outside)}: solve and score the scene"
+        why = f"none, {' and '.join(outside)}: use --measure"
         return Section("expected scores", (Quantity("expected", None, why, _SOURCE),), ())
     quantities = []
     for key, score in SCORES.items():
         value, error = (float(each[0]) for each in model.predict(key, features[None]))
         quantities.append(Quantity(key, value, f"{score.meaning}, +- {error:.2g}", _SOURCE))
     for key, name in (("q_synthetic_aperture", "msa"), ("q_mart", "mlos_smart")):
-        allowed = model.allowed_error_px(key, features, values["image_px"])
+        allowed = model.allowed_error_px(key, features, features[_IMAGE])
         meaning = f"calibration error that costs {name} {_COST:g} in Q"
         quantities.append(Quantity(f"calibration_{name}_px", allowed, meaning, _SOURCE))
     return Section("expected scores", tuple(quantities), ())
@@ -332,7 +346,7 @@ def _outside(model: ScoreModel, features: F64) -> list[str]:
     """
     outside = []
     for name, value, low, high in zip(FEATURES, features, model.low, model.high, strict=True):
-        below, above = value < low * (1.0 - _EDGE), value > high * (1.0 + _EDGE)
+        below, above = value < low * (1.0 - EDGE), value > high * (1.0 + EDGE)
         if below or (above and name != "peak_snr"):
             outside.append(f"{name} is {value:.3g} (measured: {low:.3g} to {high:.3g})")
     return outside

@@ -242,6 +242,13 @@ class ParticleSample:
             return 0.0
         return float(np.sqrt(np.mean(np.var(np.log(photons), axis=0))))
 
+    @property
+    def light_spread(self) -> float:
+        """Spread of light between particles in a camera, a deviation of logarithms."""
+        photons = [image.photons[image.visible & (image.photons > 0.0)] for image in self.images]
+        spreads = [np.std(np.log(given)) for given in photons if len(given)]
+        return float(np.mean(spreads)) if spreads else 0.0
+
 
 def sample_images(frame: FrameContent, tracers: Tracers) -> ParticleSample | None:
     """Image a sample of a frame's particles; None where no camera sees one."""
@@ -291,6 +298,9 @@ def plan_light(sample: ParticleSample) -> Section:
         Quantity("light_ratio", ratio, "darkest / brightest camera", _LIGHT),
         Quantity(
             "light_scatter", sample.light_scatter, "deviation of log light over cameras", _LIGHT
+        ),
+        Quantity(
+            "light_spread", sample.light_spread, "deviation of log light over particles", _LIGHT
         ),
         Quantity("peak_e", dim.electrons, "electrons of its brightest pixel", "EMVA 1288"),
         Quantity("peak_dn", dim.grey, "grey value of its brightest pixel", "EMVA 1288"),

@@ -233,7 +233,7 @@ def plan(scene: Scene | str | Path, recorder: RecordingSystem | None = None) -> 
         sample = optics.sample_images(frame, frame.tracers) if frame.tracers else None
     if sample is not None:
         sections += [optics.plan_light(sample), plan_density(loaded, viewing, sample)]
-        expected = plan_scores(loaded, sections)
+        expected = plan_scores(sections)
         sections += [expected] if expected is not None else []
     sections.append(plan_recording(loaded, viewing, recorder or RecordingSystem(), sample))
     return Plan(lit, rig, viewing, tuple(sections))

@@ -21,6 +21,7 @@ from sabench.evaluation.leaderboard.page_content import (
 from sabench.evaluation.leaderboard.standings import front_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
+from sabench.plotting.kinds import COLOURS
 from sabench.plotting.page import escape_code, inline_code, inline_json, render_page
 from sabench.tasks.task import LARGEST
 from sabench.utils.confidence import mean_of
@@ -107,10 +108,7 @@ def _find_picture(pictures: Path, name: str) -> Path | None:
     return path if path.is_file() else None
 
 
-_SCRIPTS = (
-    *("base", "state", "rows", "download", "table"),
-    *("plots", "front", "viewer", "case", "main"),
-)
+_FILES = ("base", "state", "rows", "download", "table", "plots", "front", "viewer", "case", "main")
 
 
 def _render(rows: Sequence[Record], pictures: Path) -> str:
@@ -127,10 +125,12 @@ def _render(rows: Sequence[Record], pictures: Path) -> str:
         "version": __version__,
         "date": max(dates, default=""),
         "static": static,
-        "data": inline_json(describe_cases(cases) | front | {"leftOut": left_out}),
+        "data": inline_json(
+            describe_cases(cases) | front | {"leftOut": left_out, "kinds": COLOURS}
+        ),
         "albums": {number: inline_json(album) for number, album in albums.items()},
     }
-    code = inline_code(folder / "page", _SCRIPTS, library())
+    code = inline_code(folder / "page", _FILES, library())
     template = (folder / "page.html.j2").read_text(encoding="utf-8")
     return render_page(template, content | code)
 

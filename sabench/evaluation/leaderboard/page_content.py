@@ -7,11 +7,12 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import asdict
 from itertools import groupby
 from typing import Any, NamedTuple
 
-from sabench import tasks
-from sabench.evaluation.leaderboard.cells import SAME_DIGITS
+from sabench import plugins, tasks
+from sabench.evaluation.leaderboard.cells import SAME_DIGITS, newest
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.tasks.quality import FIGURES_OF
@@ -62,8 +63,6 @@ ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")  # of a row of
 # largest degrees of freedom in the page's table of Student's quantiles; beyond them the last one is
 # a little too wide
 _DEGREES = 100
-# digits of every score on the page: more than any table shows, to keep small differences of pairs
-# correct
 
 
 def cases_of(rows: Sequence[Record]) -> list[list[Record]]:
@@ -75,13 +74,14 @@ def cases_of(rows: Sequence[Record]) -> list[list[Record]]:
 def describe_cases(cases: Sequence[Sequence[Record]]) -> dict[str, Any]:
     """Describe cases and their rows for the page."""
     pool, shown = _Pool(), {table_of(row).name for case in cases for row in case}
-    # compute Student's quantiles for 1, 2, ... degrees of freedom. The page uses them for intervals
-    # of differences, as `sabench.utils.confidence` does
+    solvers, bundled = plugins.readable("solvers")[0], plugins.bundled_folder("solvers")
+    # quantiles are Student's for 1, 2, ... degrees of freedom, as in `sabench.utils.confidence`
     return {
         "tasks": {table.name: _table(table) for table in every_table() if table.name in shown},
         "cases": [_case(case) for case in cases],
         "rows": [_row(row, number, pool) for number, case in enumerate(cases) for row in case],
         "texts": pool.texts,
+        "solvers": [[one.group, one.name] for one in solvers if one.file.parent == bundled],
         "quantiles": [short(quantile(degree + 1)) for degree in range(1, _DEGREES + 1)],
     }
 
@@ -140,14 +140,7 @@ def _table(table: ScoreTable) -> dict[str, Any]:
     ]
     # curve over the matching distance, if the task has one
     curve = None if table.recorded else table.task.tolerance
-    captions = table.task.captions
-    pictured = {
-        "heading": captions.heading,
-        "text": captions.estimates,
-        "wide": captions.wide,
-        "cameras": captions.cameras,
-        "errors": _RESIDUALS if table.recorded else captions.errors,
-    }
+    residuals = {"errors": _RESIDUALS} if table.recorded else {}
     return {
         "columns": columns,
         "main": len(columns) if table.recorded else _MAIN,
@@ -155,7 +148,7 @@ def _table(table: ScoreTable) -> dict[str, Any]:
         "gate": _NO_RANK if table.recorded else gate_text(table.task),
         "tolerance": curve
         and {key: getattr(curve, key) for key in ("heading", "unit", "distances")},
-        "pictured": pictured,
+        "pictured": asdict(table.task.captions) | residuals,
     }
 
 
@@ -199,7 +192,6 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     keys = [score.key for score in table_of(row).columns]
     machine = [row["machine"].get(key) for key in ("cpu", "backend")]
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
-    # return the card of a submission, and the entry with the same estimates
     optional = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
     # return seconds and first score after iterations of the first run that has them
     steps = next((run["iterations"] for run in runs if run.get("iterations")), None)
@@ -223,6 +215,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
             pool(text)
             for text in dict.fromkeys(run["code_hash"] for run in runs if run.get("code_hash"))
         ],
+        "date": newest(row)[:10],
         "reference": short(sum(reference) / len(reference)) if reference else None,
         "scores": [pair(row[key]) for key in keys],
         "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys]

@@ -286,7 +286,7 @@ def _lines(
     for candidate in sorted(results, key=_seniority):
         entries.setdefault(candidate.entry, candidate)
     for entry, result in entries.items():
-        row = tuple(column.get(entry, Cell(None, None, "no result")) for column in cells)
+        row = tuple(column.get(entry, Cell(None, None, "not measured")) for column in cells)
         if any(cell.places for cell in row):
             line = Line(result, row, mean_rank([cell.rank for cell in row], last))
             same.setdefault(tuple(name.get(entry) for name in names), []).append(line)

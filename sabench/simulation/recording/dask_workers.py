@@ -29,9 +29,8 @@ class DaskPool:
                 self._client = Client(address, timeout=_CONNECT_S)
             except (OSError, ValueError, TimeoutError) as error:
                 got = f"{type(error).__name__}: {error}"
-                raise InputError(
-                    f"scheduler: expected a Dask scheduler at {address}, got {got}"
-                ) from error
+                sentence = f"scheduler: expected a Dask scheduler at {address}, got {got}"
+                raise InputError(sentence) from error
         self._tasks: dict[Any, tuple[Hashable, RecordingTask]] = {}
 
     @property

@@ -204,9 +204,8 @@ def _part(frame: int, entries: list[Entry]) -> Part:
 def _load_needed(path: Path) -> Part:
     part = _load(path)
     if part is None:
-        raise InputError(
-            f"{path}: expected an intact part of a data set that is being made, found none"
-        )
+        sentence = f"{path}: expected an intact part of a data set that is being made, found none"
+        raise InputError(sentence)
     return part
 
 

@@ -71,13 +71,14 @@ class Recorder:
     cameras : the true ones.
     views : number of cameras that take images.
     chained : whether a frame's truth needs that of the frame before it.
+    last : content of the last frame that was made.
     """
 
     def __init__(self, scene: Scene, seed: int, renderer: str, label: str) -> None:
         rig = build_rig(scene, label)
         self._scene, self._seed = scene, seed
         self._frames = Frames(scene, rig, seed, renderer)
-        self._last: FrameContent | None = None
+        self.last: FrameContent | None = None
         self.cameras, self.views, self.chained = rig.cameras, len(rig.cameras), self._frames.chained
 
     def frame(self, number: int, recall: Recall) -> list[Entry]:
@@ -88,21 +89,21 @@ class Recorder:
         motion = self._frames.motion
         if motion is not None and self.chained and number and motion.last != number - 1:
             motion.resume(number - 1, _tracers(recall(number - 1), number - 1))
-        self._last = self._frames.at(number)
-        return [*self._truth(self._last), *self._kept(self._last)]
+        self.last = self._frames.at(number)
+        return [*self._truth(self.last), *self._kept(self.last)]
 
     def view(self, number: int, camera: int, recall: Recall) -> CameraPart:
         """Render a camera's image of a frame, and truth; `recall` gives the frame's part."""
-        if self._last is None or self._last.number != number:
+        if self.last is None or self.last.number != number:
             part = recall(number)
             lit = part.find(_Illuminated)
-            self._last = self._frames.assemble(
+            self.last = self._frames.assemble(
                 number,
                 part.find(Bubbles, number),
                 part.find(Particles, number),
                 None if lit is None else lit.illuminated,
             )
-        frame = self._last
+        frame = self.last
         view = render_camera_view(frame, camera)
         grey = record_image(frame, view, camera)
         truth: list[Entry] = [

@@ -217,9 +217,8 @@ def _read(
     except InputError:
         raise
     except MemoryError as error:
-        raise InputError(
-            f"{path}: expected a file that can be read with {limits[0]:.0f} MB of memory"
-        ) from error
+        sentence = f"{path}: expected a file that can be read with {limits[0]:.0f} MB of memory"
+        raise InputError(sentence) from error
     except Exception as error:  # libraries raise what their parsers raise
         name = type(error).__name__
         raise InputError(f"{path}: expected an intact file, got {name}: {error}") from error

@@ -229,9 +229,8 @@ def _from_vtk(path: Path, names: Names) -> dict[str, UnitArray]:
     try:
         from vtkmodules.util.numpy_support import vtk_to_numpy
     except ImportError as error:
-        raise InputError(
-            f"{path}: expected the package vtk to read it: pip install 'sabench[vtk]'"
-        ) from error
+        sentence = f"{path}: expected the package vtk to read it: pip install 'sabench[vtk]'"
+        raise InputError(sentence) from error
     data = _vtk_lattice(path)
     counts = data.GetDimensions()
     axes = {}

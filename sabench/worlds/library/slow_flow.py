@@ -103,9 +103,8 @@ def solve_oseen(
     points = box.points_mm()
     solid = np.any([contains(body, points) for body in bodies], axis=0)
     if not solid.any():
-        raise InputError(
-            f"step_mm: expected bodies that hold nodes, got none {box.step_mm:g} mm apart"
-        )
+        sentence = f"step_mm: expected bodies that hold nodes, got none {box.step_mm:g} mm apart"
+        raise InputError(sentence)
     green = _Oseen(box, velocity_mm_s, viscosity_mm2_s)
     count = 3 * int(solid.sum())
 

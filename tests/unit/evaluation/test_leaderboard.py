@@ -131,7 +131,7 @@ def test_a_solver_that_misses_a_case_comes_after_the_others() -> None:
     found = standing(records)
     assert next(iter(found)) == "whole"
     assert found["whole"][0] == 1
-    assert found["easy only"][2] == ["", "no result"]
+    assert found["easy only"][2] == ["", "not measured"]
     assert found["declines"][2] == ["", "declined"]
     assert found["fails"][2] == ["", "failed"]
     assert [place for place, *_ in found.values()] == [1, None, None, None]

@@ -16,9 +16,11 @@ import pytest
 from hypothesis import given, strategies as st
 
 import sabench
+from sabench.apps.detections import mask_pixels, score_detections
 from sabench.dataset.reader import Dataset
 from sabench.interop import vtkhdf
-from sabench.interop.export import NAME, run_lengths, write_state
+from sabench.interop.coco import run_lengths
+from sabench.interop.export import NAME, write_state
 from sabench.interop.napari_reader import get_reader, read_layers
 from tests.conftest import ROOT
 from tests.helpers.bubble_scenes import small
@@ -55,8 +57,7 @@ def test_run_lengths_are_read_back(bits: int) -> None:
 def test_every_visible_bubble_has_its_mask_and_box(data: Dataset, coco: Path) -> None:
     values = json.loads((coco / "annotations.json").read_text())
     assert len(values["images"]) == 5
-    bubbles = data.bubbles(0)
-    found = 0
+    bubbles, found = data.bubbles(0), 0
     for image, camera in zip(values["images"], data.setup.cameras, strict=True):
         sight = data.sight(0, camera)
         own = [one for one in values["annotations"] if one["image_id"] == image["id"]]
@@ -67,8 +68,7 @@ def test_every_visible_bubble_has_its_mask_and_box(data: Dataset, coco: Path) ->
             left, top, width, height = one["bbox"]
             inside = mask[top : top + height, left : left + width]
             assert inside.sum() == mask.sum() == one["area"] > 0
-            for side in (inside[0], inside[-1], inside[:, 0], inside[:, -1]):
-                assert side.any()
+            assert inside[0].any() & inside[-1].any() & inside[:, 0].any() & inside[:, -1].any()
         found += len(own)
         assert len(own) == len(set(sight.number[sight.number >= 0].tolist()))
     assert found > 50
@@ -87,24 +87,47 @@ def test_images_show_what_the_camera_recorded(data: Dataset, coco: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of pycocotools with numpy 2
-def test_pycocotools_reads_it(data: Dataset, coco: Path) -> None:
-    tools = pytest.importorskip("pycocotools.coco", reason="pycocotools is not installed")
-    evaluation = pytest.importorskip("pycocotools.cocoeval")
+@pytest.mark.parametrize("key", ["bbox", "segmentation"])
+def test_pycocotools_scores_alike(data: Dataset, coco: Path, tmp_path: Path, key: str) -> None:
+    names = ("coco", "cocoeval", "mask")
+    tools, evaluation, mask = (pytest.importorskip(f"pycocotools.{name}") for name in names)
+    found, values, rng = [], {}, np.random.default_rng(3)
     with contextlib.redirect_stdout(io.StringIO()):
         true = tools.COCO(str(coco / "annotations.json"))
-        for one in true.loadAnns(true.getAnnIds(imgIds=[1])):
+        for one in true.loadAnns(true.getAnnIds()):
             row = data.bubbles(0).id.tolist().index(one["bubble"])
-            expected = data.sight(0, data.setup.cameras[0]).number == row
-            np.testing.assert_array_equal(true.annToMask(one) > 0, expected)
-        found = [
-            {"image_id": one["image_id"], "category_id": 1, "score": 0.9, "bbox": one["bbox"]}
-            for one in true.loadAnns(true.getAnnIds())
-        ]
-        judged = evaluation.COCOeval(true, true.loadRes(found), "bbox")
-        judged.evaluate()
-        judged.accumulate()
-        judged.summarize()
-    assert judged.stats[0] == pytest.approx(1.0)
+            seen = data.sight(0, data.setup.cameras[one["image_id"] - 1]).number == row
+            np.testing.assert_array_equal(true.annToMask(one) > 0, seen)
+            runs = mask.encode(np.asfortranarray(np.roll(seen, rng.integers(-1, 2)), np.uint8))
+            values["segmentation"] = runs | {"counts": runs["counts"].decode()}
+            values["bbox"] = np.add(one["bbox"], rng.uniform(0.0, 1.0, 4)).tolist()
+            ids = {"image_id": one["image_id"], "category_id": 1, "score": rng.random()}
+            found += [ids | {key: values[key]}] * (rng.random() < 0.9)
+        scores = scored(data, tmp_path, found)
+        judged = evaluation.COCOeval(true, true.loadRes(found), key[:4])
+        for step in (judged.evaluate, judged.accumulate, judged.summarize):
+            step()
+    assert (scores["ap"], scores["ap_50"]) == pytest.approx(judged.stats[:2], abs=1e-9)
+
+
+def scored(data: Dataset, folder: Path, found: list[dict[str, Any]]) -> dict[str, Any]:
+    (folder / "found.json").write_text(json.dumps(found))
+    return score_detections(data, folder / "found.json")
+
+
+@pytest.mark.slow
+def test_the_truth_scores_best(data: Dataset, coco: Path, tmp_path: Path) -> None:
+    values = json.loads((coco / "annotations.json").read_text())
+    true = [one | {"score": 1} for one in values["annotations"]]
+    true[0]["image_id"] = Path(values["images"][0]["file_name"]).stem
+    for found in (true, [one | {"segmentation": None} for one in true]):
+        scores = scored(data, tmp_path, found)
+        assert (scores["ap"], scores["f1"], scores["diameter_rms_px"]) == (1.0, 1.0, 0.0)
+    with refused("image_id"):
+        scored(data, tmp_path, [{**true[0], "image_id": 6}])
+    corners = [[10.2, 20.2, 13.8, 20.2, 13.8, 25.8, 10.2, 25.8]]
+    expected = np.add.outer(128 * np.arange(10, 14), np.arange(20, 26)).ravel()
+    np.testing.assert_array_equal(mask_pixels("", corners, 128, 160), expected)
 
 
 def test_particles_alone_are_refused(data: Dataset, tmp_path: Path) -> None:

@@ -16,10 +16,10 @@ from sabench.metrics.trajectories import (
     claimed_errors,
     identity_scores,
     jitter_mm,
+    link_scores,
     median_errors,
     share_followed,
     trajectory_scores,
-    vector_scores,
 )
 from sabench.utils.arrays import F64, I64
 
@@ -116,7 +116,7 @@ def vectors(
     rows = [np.arange(len(one)) for one in places]
     truth = [one.center_mm for one in true], [one.id for one in true]
     pairs = [(own, own) for own in rows]
-    return vector_scores(places, track, *truth, pairs, sequences or [range(4)])
+    return link_scores(places, track, *truth, pairs, TIMES, sequences or [range(4)])
 
 
 def test_displacements_err_by_the_difference_of_both_ends() -> None:

@@ -42,7 +42,10 @@ FAULTS = [
     ("= 85.0", "= 85.0\naim_mm = [400.0, 0.0, 30.0]", "4"),
     ("f_number = 18.0", "f_number = 18.0\nfocus_mm = 50.0", "focus_mm"),
     ("crop_mm = [0.5", "crop_mm = [7.0", "crop_mm"),
-    ("title =", "title", ""),
+    ("title =", "title", ": title "),
+    ("count = 300", "count = true", "particles.count: expected a number"),
+    ("count = 300", 'count = "300"', "particles.count: expected a number"),
+    ("black_level_dn = 64.0", "black_level_dn = 5000.0", "sensor.black_level_dn"),
 ]
 
 
@@ -120,6 +123,8 @@ def test_a_scene_has_one_world(name: str) -> None:
 def test_missing_scene_suggests_the_nearest() -> None:
     with refused("quick"):
         scenes.load_scene("quik")
+    with refused("quick.toml: expected a scene, got a suite"):
+        scenes.load_scene(find("quick", "scenes/suites"))
 
 
 @pytest.mark.parametrize("name", ["quick", "cylinder-tank", "two-faces", "free-surface"])

@@ -1,5 +1,7 @@
 """Frames made in memory."""
 
+from typing import Any
+
 import numpy as np
 
 import sabench
@@ -16,6 +18,10 @@ def test_a_scene_may_be_a_name_and_gives_the_particles_of_its_data_set(quick: Da
 def test_a_scene_without_particles_is_refused() -> None:
     with refused("expected a scene with particles"):
         sabench.simulate("standard-bubbles")
+    for key, value in {"seed": 1.5, "frame": 1, "scene": None}.items():
+        given: Any = {"scene": "quick", key: value}
+        with refused(key):
+            sabench.simulate(**given)
 
 
 def test_a_data_set_shows_itself_in_five_lines(quick: Dataset) -> None:

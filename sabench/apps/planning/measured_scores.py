@@ -1,0 +1,90 @@
+"""Scores that solvers reach on a reduced twin of a scene.
+
+The twin keeps cameras, walls, light and density. Its images and its volume across the lines of
+sight are smaller, as far as the figures that scores depend on stay the same.
+"""
+
+import contextlib
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import Any
+
+import numpy as np
+
+from sabench.apps.planning.expected_scores import EDGE, SCORES, ExpectedScore, feature_values
+from sabench.apps.planning.plan import Plan, plan
+from sabench.apps.planning.viewing import Quantity, Section
+from sabench.scenes import Scene, parse_scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.solve_and_score import score, solve
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.progress import say
+
+_LEAST_PX = 100  # rows or columns: fewer show too few particles
+
+
+def measure_scores(planned: Plan, draws: int = 3) -> Plan:
+    """Replace the expected scores of a plan by measured ones.
+
+    `draws` data sets differ in particles, noise and calibration errors.
+
+    Raises
+    ------
+    InputError
+        A scene whose cameras see no lit particles, or one that cannot be generated or solved.
+    """
+    figures = feature_values(planned.sections)
+    if figures is None:
+        raise InputError(f"{planned.scene.title}: expected a scene with lit particles to measure")
+    twin = _reduce(planned, figures)
+    size = f"{draws} data sets of {twin.cameras.columns} x {twin.cameras.rows} px"
+    say(f"measure scores on {size}")
+    found: dict[str, list[float]] = {key: [] for key in SCORES}
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(draws):
+            data = generate(twin, Path(folder) / f"{seed}", seed=seed)
+            scores = {
+                name: score(data, solve(name, data, Path(folder) / f"{name}-{seed}.h5").path)
+                for name in dict.fromkeys(one.solver for one in SCORES.values())
+            }
+            for key, one in SCORES.items():
+                found[key].append(_value(one, scores[one.solver]))
+    quantities = tuple(
+        Quantity(key, fmean(got), f"{SCORES[key].meaning}, +- {stdev(got):.2g} between them", size)
+        for key, got in found.items()
+    )
+    kept = tuple(one for one in planned.sections if one.title != "expected scores")
+    return replace(planned, sections=(*kept, Section("measured scores", quantities)))
+
+
+def _value(expected: ExpectedScore, scores: Mapping[str, Any]) -> float:
+    if expected.score == "ghosts":
+        return float(scores["peak_ghost_percent"] or 0.0) / 100.0
+    peaks = expected.score == "f1" and "peak_f1" in scores
+    return float(scores["peak_f1" if peaks else expected.score] or 0.0)
+
+
+def _reduce(planned: Plan, wanted: F64) -> Scene:
+    """Find the smallest twin with the figures of the scene; else return the scene."""
+    scene, axis = planned.scene.with_frames(1), planned.viewing.axis
+    share = _LEAST_PX / min(scene.cameras.rows, scene.cameras.columns)
+    while share < 1.0:
+        values = scene.to_dict()
+        for key in ("rows", "columns"):
+            values["cameras"][key] = round(share * values["cameras"][key])
+        shares = [1.0 if edge == axis else share for edge in range(3)]
+        size = [one * part for one, part in zip(scene.volume.size_mm, shares, strict=True)]
+        values["volume"]["size_mm"] = size
+        if "count" in values["particles"]:
+            values["particles"]["count"] = round(values["particles"]["count"] * share**2)
+        with contextlib.suppress(InputError):  # margins may not fit into a small volume
+            twin = parse_scene(values, scene.title)
+            got = feature_values(plan(twin).sections)
+            if got is not None and np.allclose(got, wanted, rtol=2.0 * EDGE, atol=EDGE):
+                return twin
+        share *= 1.5
+    return scene
