@@ -33,7 +33,8 @@ def draw_image(scene: Scene) -> U8:
     scene, world = scene.model_copy(update={"render": render}), scene.world
     traced = not isinstance(world, ParticleWorld)
     frames = Frames(scene, build_rig(scene), 1, "mitsuba" if traced else "splat")
-    frame, camera = frames.at(0), max(len(frames.rig.cameras) // 2 - 1, 0)
+    frame = frames.at(0)
+    camera = len(frames.rig.cameras) // 2 - bool(scene.occluders)  # not the covered one
     if frame.target is not None and scene.lighting is None:  # points, no images
         lens = frames.rig.cameras[camera]
         pixels, valid = lens.project(frame.pose(frame.target.points_mm))
