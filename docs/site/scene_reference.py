@@ -264,11 +264,10 @@ def reference() -> str:
 def pictures() -> str:
     """Write the bundled scenes, each with its title, an image of a camera, and the rig."""
     rows = [
-        [f"`{name}`", f"{load_scene(path).title} ![Image and rig]({_PICTURES}/{name}.webp)"]
+        [f"`{path.stem}`: {load_scene(path).title} ![Image and rig]({_PICTURES}/{path.stem}.webp)"]
         for path in _SCENES
-        for name in [path.stem]
     ]
-    return written(["scene", "title, image and rig"], rows)
+    return written(["name, title, image and rig"], rows)
 
 
 def _written(section: Section) -> str:
