@@ -14,8 +14,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Rectangle
 from PIL import Image
+from rig import INK, RAY, Eye, box, draw_rig
 
 import sabench
 from sabench.api import Reconstruction
@@ -26,85 +27,33 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result
 from sabench.plotting.kinds import COLOURS, KINDS
 from sabench.plotting.pictures import BRIGHTEST, GAMMA, grey_levels
-from sabench.utils.arrays import F64
 
-_INK, _RAY, _GLASS, _WATER, _VOLUME = "#1b1f24", "#8a94a0", "#2a6f97", "#cfe6f5", "#f0c419"
-_BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 _MARKS = {"found": "o", "missed": "D", "ghost": "X", "duplicate": "^"}
 _TEXT = 23.0  # points at 100 dots per inch: 9 pixels on a screen of 390
 
 
-class Eye:
-    """Perspective from a point towards another, Y down."""
-
-    def __init__(self, place_mm: list[float], target_mm: list[float]) -> None:
-        self.place = np.array(place_mm)
-        ahead = np.array(target_mm) - self.place
-        ahead = ahead / np.linalg.norm(ahead)
-        right = np.cross([0.0, 1.0, 0.0], ahead)
-        right = right / np.linalg.norm(right)
-        self.axes = np.array([right, np.cross(ahead, right), ahead])
-
-    def __call__(self, points_mm: Any) -> F64:
-        """Project points (..., 3) to (..., 2)."""
-        seen = (np.asarray(points_mm, dtype=np.float64) - self.place) @ self.axes.T
-        return np.asarray(seen[..., :2] / seen[..., 2:])
-
-
-def box(axes: Any, eye: Eye, low: Any, high: Any, own: Any = None, **style: Any) -> None:
-    """Draw the faces of a box, the far ones first; `own` are its axes and its origin."""
-    corners = np.asarray(low) + _BOX * (np.asarray(high) - np.asarray(low))
-    if own is not None:
-        corners = own[1] + corners @ own[0]
-    faces = [corners[list(face)] for face in _FACES]
-    for face in sorted(
-        faces, key=lambda face: -float(np.linalg.norm(face.mean(axis=0) - eye.place))
-    ):
-        axes.add_patch(Polygon(eye(face), **style))
-
-
-def draw_rig(axes: Any, around: Surroundings) -> None:
+def draw_labelled(axes: Any, around: Surroundings) -> None:
     """Draw the rig, and its volume enlarged, with words."""
-    rig = around.describe()
+    wall = around.describe()["walls"][0]
     eye = Eye([-165.0, -105.0, 235.0], [10.0, 5.0, -60.0])
     zoom = axes.inset_axes((0.62, 0.33, 0.38, 0.38))
     for place in (axes, zoom):
-        draw_parts(place, eye, rig)
+        draw_rig(place, eye, around)
         place.set_aspect("equal")
     axes.autoscale_view()
     middle, half = eye(around.center_mm) + np.array([0.012, -0.004]), 0.062
     zoom.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] + half, middle[1] - half))
     zoom.set(xticks=[], yticks=[], anchor="W")
-    corner, line = (middle[0] - half, middle[1] - half), {"color": _INK, "lw": 1.5}
+    corner, line = (middle[0] - half, middle[1] - half), {"color": INK, "lw": 1.5}
     axes.add_patch(Rectangle(corner, 2.0 * half, 2.0 * half, fill=False, **line))
     arrow = {"arrowprops": line | {"arrowstyle": "-", "shrinkA": 0, "shrinkB": 0}}
-    edge = eye([*rig["walls"][0]["high"], rig["walls"][0]["depths"][-1] / 2.0])
+    edge = eye([*wall["high"], wall["depths"][-1] / 2.0])
     for start, end in ((middle + np.array([half, -0.5 * half]), (0.62, 0.5)), (edge, (0.36, 0.17))):
         axes.annotate("", start, end, textcoords=axes.transAxes, **arrow)
-    style = {"fontsize": _TEXT, "color": _INK}
+    style = {"fontsize": _TEXT, "color": INK}
     words = {"cameras": (0.5, 0.92), "water": (0.02, -0.03), "glass": (0.33, 0.09)}
     for word, (x, y) in (words | {"volume": (0.66, 0.335)}).items():
         axes.text(x, y, word, transform=axes.transAxes, **style, zorder=9)
-
-
-def draw_parts(axes: Any, eye: Eye, rig: dict[str, Any]) -> None:
-    """Draw cameras, their light paths, the wall, the tank and the volume."""
-    (wall,) = rig["walls"]
-    left, top = wall["low"]
-    right, bottom = wall["high"]
-    glass = wall["depths"][-1]
-    water = {"fc": _WATER, "ec": _GLASS, "lw": 1.5, "alpha": 0.45}
-    box(axes, eye, [left, top, glass], [right, bottom, wall["back"]], **water)
-    box(axes, eye, [left, top, 0.0], [right, bottom, glass], **water | {"fc": _GLASS})
-    for camera in rig["cameras"]:
-        paths = [path for path in camera["paths"][:: rig["side"]] if path[0][0] is not None]
-        for path in paths:
-            axes.plot(*eye(path).T, color=_RAY, lw=1.3)
-        own = np.array(camera["axes"]), np.array(camera["center"])
-        for low, high in (([-22, -22, -75], [22, 22, -20]), ([-13, -13, -20], [13, 13, 8])):
-            box(axes, eye, low, high, own, fc="#5b6672", ec=_INK, lw=1.0, zorder=3)
-    box(axes, eye, *rig["volume"], fc=_VOLUME, ec=_INK, lw=1.5, alpha=0.8)
 
 
 def draw_image(axes: Any, data: Dataset) -> None:
@@ -144,7 +93,7 @@ def draw_trajectories(axes: Any, frames: tuple[Frame, ...], around: Surroundings
     """Draw the found trajectories over all frames in the volume, coloured by speed."""
     middle = around.center_mm
     eye = Eye([*(middle + np.array([-14.0, -13.0, -24.0]))], [*middle])
-    box(axes, eye, around.low_mm, around.high_mm, fc="none", ec=_RAY, lw=1.2)
+    box(axes, eye, around.low_mm, around.high_mm, fc="none", ec=RAY, lw=1.2)
     every = [frame.particles for frame in frames]
     clouds = [cloud.select(cloud.kind == KINDS.index("found")) for cloud in every]
     lines, speeds = [], []
@@ -178,14 +127,14 @@ def main(file: str = str(Path(__file__).with_name("front.png"))) -> None:
     panels: list[Any] = []
     for (x, y), title in zip(places, titles, strict=True):
         panels.append(sheet.add_axes((x, y, 0.46, 0.41), anchor="NW"))
-        panels[-1].set_title(title, fontsize=_TEXT, color=_INK, loc="left", weight="bold", pad=8)
+        panels[-1].set_title(title, fontsize=_TEXT, color=INK, loc="left", weight="bold", pad=8)
         panels[-1].set(xticks=[], yticks=[])
     with tempfile.TemporaryDirectory() as folder:
         data = sabench.generate("particle-tracking", Path(folder, "data"), seed=1)
         for solver, own in (("msa", {"k": 1.5}), ("shake_the_box", {})):
             sabench.solve(solver, data, Path(folder, f"{solver}.h5"), parameters=own)
         contents = of_dataset(data, open_result(Path(folder, "shake_the_box.h5"), data))
-        draw_rig(panels[0], contents.surroundings)
+        draw_labelled(panels[0], contents.surroundings)
         draw_image(panels[1], data)
         draw_reconstruction(panels[2], data, Path(folder, "msa.h5"), ((-2.8, 1.4), (-1.8, 1.52)))
         speeds = draw_trajectories(panels[3], contents.frames, contents.surroundings)

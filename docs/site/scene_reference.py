@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from markdown_table import escaped
+from markdown_table import escaped, written
 from pydantic import BaseModel
 
 from sabench.scenes import load_scene, scene_schema
@@ -36,6 +36,7 @@ _UNITS = {
     "dn": "grey values",
     "dn_e": "grey values/electron",
 }
+_PICTURES = "../../scenes/pictures"  # from the page
 _LONG = 40  # characters of a value, beyond which a table shows only its start
 
 
@@ -258,6 +259,15 @@ def reference() -> str:
     ]
     head = "| table | contents |\n|---|---|\n"
     return "\n\n".join([head + "\n".join(contents), *map(_written, found)])
+
+
+def pictures() -> str:
+    """Write the bundled scenes, each with its title, an image of a camera, and the rig."""
+    rows = [
+        [f"`{path.stem}`: {load_scene(path).title} ![Image and rig]({_PICTURES}/{path.stem}.webp)"]
+        for path in _SCENES
+    ]
+    return written(["name, title, image and rig"], rows)
 
 
 def _written(section: Section) -> str:

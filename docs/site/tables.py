@@ -151,6 +151,7 @@ def _read(name: str) -> Any:
 
 _TABLES: dict[str, Callable[..., str]] = {
     "scene": scene_reference.reference,
+    "scenes": scene_reference.pictures,
     "density": particle_tables.density,
     "rules": rules,
     "tracking": particle_tables.tracking,

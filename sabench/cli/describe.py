@@ -132,11 +132,11 @@ def _scene(name: str) -> None:
         for suite in plugins.list_suites()
         if f'"{name}"' in find(suite, "scenes/suites").read_text(encoding="utf-8")
     ]
-    count = len(build_rig(scene, name).cameras)
+    picture = plugins.bundled_folder("scenes") / "pictures" / f"{name}.webp"
     say(
-        f"scene {name}\n\n{scene.title}\n\n{count} cameras of {scene.cameras.columns} x "
-        f"{scene.cameras.rows} px, a volume of {size} mm, frames: {scene.frames}\n"
-        f"Suites: {', '.join(suites) or 'none'}\n\n"
+        f"scene {name}\n\n{scene.title}\n\n{len(build_rig(scene, name).cameras)} cameras of "
+        f"{scene.cameras.columns} x {scene.cameras.rows} px, a volume of {size} mm, frames: "
+        f"{scene.frames}\nSuites: {', '.join(suites) or 'none'}\nPicture: {picture}\n\n"
         f"sabench plan {name}\nsabench generate {name} -o DATASET"
     )
 

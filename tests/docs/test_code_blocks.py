@@ -23,7 +23,8 @@ _FORMATS = ("formats/dataset", "formats/samples", "formats/foreign", "formats/re
 _USING = ("calibrating", "challenges", "detection", "export", "own-recordings", "planning")
 _SLOW = {f"docs/{name}.md" for name in (*_TASKS, *_FORMATS, "start/experimenter")}
 _SLOW |= {f"docs/using/{name}.md" for name in (*_USING, "streaming", "viewing")}
-_SLOW |= {"README.md", "CONTRIBUTING.md", "docs/developing/participate.md"}
+_SLOW |= {"README.md", "CONTRIBUTING.md"}
+_SLOW |= {f"docs/{name}.md" for name in ("developing/participate", "reference/gallery")}
 
 
 @pytest.fixture(scope="module")

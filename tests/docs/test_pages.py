@@ -94,6 +94,14 @@ def test_every_table_of_a_page_has_rows_of_the_same_length(page: str) -> None:
             assert len({row.count("|") for row in rows}) == 1
 
 
+def test_every_bundled_scene_has_a_small_picture() -> None:
+    files = (ROOT / "scenes" / "pictures").iterdir()
+    sizes = {file.stem: file.stat().st_size for file in files}
+    assert sorted(sizes) == sorted(plugins.list_scenes())
+    assert max(sizes.values()) <= 25_000
+    assert sum(sizes.values()) <= 1_000_000
+
+
 def test_pages_of_results_hold_no_table_that_is_made() -> None:
     names = ["by-suite", "ranking", "particle-density", "particle-tracking", "realism", "scene"]
     assert {page.rpartition("/")[2].removesuffix(".md") for page in _FILLED} >= set(names)
