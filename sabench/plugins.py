@@ -100,6 +100,8 @@ def _hint(kind: str, name: str, names: list[str]) -> str:
         return f"none are in {bundled_folder(kind)}; is another copy of sabench in {Path.cwd()}?"
     near = difflib.get_close_matches(name, names, 1)
     what = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
+    if os.sep in name:
+        return "a program's path is for `solve` and suites alone"
     hint = f"for one of your own, SABENCH_PLUGINS is the folder that holds {kind}/{name}.py"
     entries = filter(None, os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep))
     missing = [entry for entry in entries if not (Path(entry) / kind).is_dir()]

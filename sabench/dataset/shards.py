@@ -82,15 +82,11 @@ def plan_shards(samples: int, shares: Sequence[float], size: int) -> list[Shard]
     """
     splits = _splits(range(samples), shares)
     return [
-        shard
-        for index, name in enumerate(split_names(len(shares)))
-        for shard in _shards(name, np.flatnonzero(splits == index), size)
+        Shard(f"{name}-{place:05d}", name, numbers[first : first + size])
+        for split, name in enumerate(split_names(len(shares)))
+        for numbers in [np.flatnonzero(splits == split)]
+        for place, first in enumerate(range(0, len(numbers), size))
     ]
-
-
-def _shards(split: str, numbers: I64, size: int) -> Iterator[Shard]:
-    for index, first in enumerate(range(0, len(numbers), size)):
-        yield Shard(f"{split}-{index:05d}", split, numbers[first : first + size])
 
 
 TruthKind = Literal["particles", "views", "radiance"]

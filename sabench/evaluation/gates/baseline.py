@@ -149,8 +149,8 @@ def read_baseline(path: Path, suite: str) -> Baseline:
     """
     if not path.exists():
         raise InputError(
-            f"{path}: expected a baseline of suite {suite}, but there is no file: --update "
-            "makes one (in pytest --sabench-update)"
+            f"{path}: expected a baseline of suite {suite}, but there is no file: make it "
+            "with --update, in pytest with --sabench-update, and commit it"
         )
     values = read_json(path)
     form, version = (Baseline.model_fields[key].default for key in ("format", "version"))
