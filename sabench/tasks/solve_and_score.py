@@ -206,8 +206,10 @@ class Scores(Card, dict[str, Any]):
             yield one.key, format_number(self[one.key], one.decimals), one.unit, BETTER[one.better]
 
 
-def score(dataset: Dataset | str | Path, result: str | Path, task: str | None = None) -> Scores:
-    """Score a result file, or the best or worst possible estimates.
+def score(
+    dataset: Dataset | str | Path, result: Result | str | Path, task: str | None = None
+) -> Scores:
+    """Score a result or its file, or the best or worst possible estimates.
 
     The words `truth` and `empty` mean the best and the worst possible estimates.
 
@@ -221,6 +223,7 @@ def score(dataset: Dataset | str | Path, result: str | Path, task: str | None = 
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     _ = data.manifest  # raises where there is no truth
+    result = result.path if isinstance(result, Result) else result
     word = next((name for name in WORDS if name == str(result)), None)
     if word is None and not Path(result).exists():
         raise InputError(f"{result}: expected a result file, or truth or empty, found no file")

@@ -107,7 +107,8 @@ def plan_density(scene: Scene, view: Viewing, sample: ParticleSample) -> Section
     per_mm3 = count / math.prod(scene.volume.size_mm)
     pixels = float(np.mean([camera.rows * camera.columns for camera in cameras]))
     per_pixel = sample.visible_share * count / pixels
-    path_mm = view.depth_mm / np.abs(view.directions @ view.forward)
+    with np.errstate(divide="ignore"):  # a line of sight along an edge leaves no other face
+        path_mm = np.min(np.asarray(scene.volume.size_mm) / np.abs(view.directions), axis=1)
     densest = per_mm3 * float(np.nanmean(path_mm * view.pixels_mm**2))
     area = math.pi / 4.0 * sample.diameter_px**2
     planes = view.rig.grid.shape[2 - view.axis]

@@ -69,10 +69,11 @@ def _value(expected: ExpectedScore, scores: Mapping[str, Any]) -> float:
 
 
 def _reduce(planned: Plan, wanted: F64) -> Scene:
-    """Find the smallest twin with the figures of the scene; else return the scene."""
+    """Find a small twin with the figures of the scene; or return a small scene."""
     scene, axis = planned.scene.with_frames(1), planned.viewing.axis
-    share = _LEAST_PX / min(scene.cameras.rows, scene.cameras.columns)
-    while share < 1.0:
+    size_px = min(scene.cameras.rows, scene.cameras.columns)
+    share = _LEAST_PX / size_px
+    while share < min(1.0, 4.0 * _LEAST_PX / size_px):
         values = scene.to_dict()
         for key in ("rows", "columns"):
             values["cameras"][key] = round(share * values["cameras"][key])
@@ -87,4 +88,7 @@ def _reduce(planned: Plan, wanted: F64) -> Scene:
             if got is not None and np.allclose(got, wanted, rtol=2.0 * EDGE, atol=EDGE):
                 return twin
         share *= 1.5
+    if size_px > 4.0 * _LEAST_PX:
+        why = "no small scene has the figures of this one: generate it, solve it and score it"
+        raise InputError(f"{scene.title}: {why}")
     return scene

@@ -133,11 +133,13 @@ class Viewing:
         return points
 
     @property
-    def slopes(self) -> F64:
-        """Sideways over forward components (camera, 3) of lines of sight."""
-        ahead = self.directions @ self.forward
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self.directions / ahead[:, None] - self.forward)
+    def partings(self) -> F64:
+        """How far lines of sight of two cameras (camera, camera) part over a unit of depth.
+
+        2 tan(angle / 2), so that of cameras all around a tank is defined, too.
+        """
+        cosine = np.clip(np.abs(self.directions @ self.directions.T), 0.0, 1.0)
+        return np.asarray(2.0 * np.sqrt((1.0 - cosine) / (1.0 + cosine)))
 
     @property
     def inner_pair(self) -> tuple[int, int] | None:
@@ -159,16 +161,18 @@ class Viewing:
         """
         if (pair := self.inner_pair) is None:
             return None
-        return _inverse(float(np.linalg.norm(self.slopes[pair[0]] - self.slopes[pair[1]])))
+        inner = self.directions[list(pair)]
+        with np.errstate(divide="ignore", invalid="ignore"):  # a line of sight along the planes
+            first, second = inner / (inner @ self.forward)[:, None]
+            return _inverse(float(np.linalg.norm(first - second)))
 
     @property
     def elongation(self) -> float | None:
         """Length over width of a particle that all cameras reconstruct.
 
-        The inverse of the largest difference of slopes of two cameras.
+        The inverse of the largest parting of two cameras.
         """
-        slopes = self.slopes
-        return _inverse(float(np.nanmax(np.linalg.norm(slopes[:, None] - slopes, axis=2))))
+        return _inverse(float(np.nanmax(self.partings)))
 
     @property
     def shares_seen(self) -> F64:

@@ -94,13 +94,15 @@ def call_isolated(
 
 @contextlib.contextmanager
 def _without_script() -> Iterator[None]:
-    """Hide the user's script, which the child would run again as it starts."""
-    script = sys.modules["__main__"]
+    """Hide the user's script and folder: the child would run the one, and import `csv.py`."""
+    script, safe = sys.modules["__main__"], os.environ.get("PYTHONSAFEPATH", "")
     sys.modules["__main__"] = ModuleType("__main__")
+    os.environ["PYTHONSAFEPATH"] = "1"
     try:
         yield
     finally:
         sys.modules["__main__"] = script
+        os.environ["PYTHONSAFEPATH"] = safe  # an empty one is none
 
 
 def _choose_environment(view: VisiblePaths) -> dict[str, str]:

@@ -11,7 +11,7 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -142,10 +142,11 @@ class _Tail(threading.Thread):
 def _start(
     words: Sequence[str], sent: bytes, folder: Path, token: str
 ) -> Iterator[tuple[subprocess.Popen[bytes], list[_Tail]]]:
+    inherited = {name: os.environ[name] for name in _KEPT if name in os.environ}
     process = subprocess.Popen(
         words,
         cwd=folder,
-        env=_environment(folder, token),
+        env=inherited | {"HOME": str(folder), "TMPDIR": str(folder), _TOKEN: token},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -165,11 +166,6 @@ def _start(
             # else a process that escaped holds the pipe: closing it would wait for the reader
             if not tail.is_alive():
                 pipe.close()
-
-
-def _environment(folder: Path, token: str) -> Mapping[str, str]:
-    inherited = {name: os.environ[name] for name in _KEPT if name in os.environ}
-    return inherited | {"HOME": str(folder), "TMPDIR": str(folder), _TOKEN: token}
 
 
 def _watch(

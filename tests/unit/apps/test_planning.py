@@ -56,6 +56,20 @@ def parallel_cameras(**camera: Any) -> Scene:
     return parse_scene(values, "parallel")
 
 
+def test_figures_of_cameras_at_right_angles_are_finite() -> None:
+    aside = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+    values = parallel_cameras(columns=320).to_dict()
+    first, second = values["cameras"]["layout"]["places"]
+    first["center_mm"] = [0.0, 0.0, -502.0]
+    second |= {"center_mm": [-502.0, 0.0, 0.0], "rotation": aside}
+    made = plan(parse_scene(values, "right angles"))
+    figures = {key: one["value"] for key, one in made.to_dict()["figures"].items()}
+    assert all(one is None or math.isfinite(one) for one in figures.values())
+    assert figures["elongation"] == pytest.approx(0.5)  # 1 / (2 tan 45 degrees)
+    per_mm3, pixel = figures["per_mm3"], figures["pixel_center_mm"]
+    assert figures["ppp_center"] == pytest.approx(per_mm3 * pixel**2 * (4.0 + 14.0) / 2.0, rel=0.02)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "ratio", "pixel", "per_pixel"),
