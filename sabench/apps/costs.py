@@ -98,7 +98,8 @@ def announce(costs: Costs, target: Path, *, dry_run: bool) -> None:
     disk = next(path for path in (target.absolute(), *target.absolute().parents) if path.exists())
     free = shutil.disk_usage(disk).free
     if dry_run:
-        print(f"{target}: {costs}; {_size(free)} are free")
+        room = f"{_size((memory.available_mb() or 0.0) * 1e6)} of memory, {_size(free)} of disk"
+        print(f"{target}: {costs}; free: {room}")
         raise SystemExit(0)
     unfinished = target.parent.glob(f".{glob.escape(target.name)}.*/**/*")
     if costs.disk > (left := free + sum(one.stat().st_size for one in unfinished if one.is_file())):

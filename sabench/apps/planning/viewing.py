@@ -134,9 +134,9 @@ class Viewing:
 
     @property
     def partings(self) -> F64:
-        """How far lines of sight of two cameras (camera, camera) part over a unit of depth.
+        """Distances (camera, camera) of lines of sight per unit of depth.
 
-        2 tan(angle / 2), so that of cameras all around a tank is defined, too.
+        2 tan(angle / 2): cameras all around a tank have them, too.
         """
         cosine = np.clip(np.abs(self.directions @ self.directions.T), 0.0, 1.0)
         return np.asarray(2.0 * np.sqrt((1.0 - cosine) / (1.0 + cosine)))

@@ -94,7 +94,7 @@ def call_isolated(
 
 @contextlib.contextmanager
 def _without_script() -> Iterator[None]:
-    """Hide the user's script and folder: the child would run the one, and import `csv.py`."""
+    """Hide the user's script, and a `csv.py` beside it, which the child would run."""
     script, safe = sys.modules["__main__"], os.environ.get("PYTHONSAFEPATH", "")
     sys.modules["__main__"] = ModuleType("__main__")
     os.environ["PYTHONSAFEPATH"] = "1"

@@ -67,6 +67,17 @@ class SlowPath(PosixPath): pass
 """
 
 
+def test_files_of_the_current_folder_hide_no_standard_module(tmp_path: Path) -> None:
+    (tmp_path / "socket.py").write_text("raise SystemExit('imported')")
+    script = tmp_path / "bin" / "script.py"
+    script.parent.mkdir()
+    script.write_text(
+        "import os\nfrom sabench.utils.processes.call import call_isolated\n"
+        "assert call_isolated(os.getpid, doing='number') != os.getpid()\n"
+    )
+    succeed(run_python(script, cwd=tmp_path))
+
+
 def turn_in_circles(path: Path) -> None:
     while True:
         pass
