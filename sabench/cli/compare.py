@@ -150,7 +150,13 @@ def _show_records(records: list[dict[str, Any]]) -> None:
         if selected:
             columns = _shown_columns(table, selected)
             headings = ["case", "solver", "seeds", *(column.key for column in columns)]
-            tables.show(headings, [_record_cells(row, columns) for row in selected], keys=3)
+            cells = []
+            for row in selected:
+                values = [(row[column.key], column.decimals) for column in columns]
+                texts = ["-" if value is None else value.text(digits) for value, digits in values]
+                name = row.get("label") or row["solver"]
+                cells.append([row["case"], name, str(len(row["seeds"])), *texts])
+            tables.show(headings, cells, keys=3)
 
 
 def _shown_columns(table: ScoreTable, rows: list[dict[str, Any]]) -> tuple[Score, ...]:
@@ -158,12 +164,6 @@ def _shown_columns(table: ScoreTable, rows: list[dict[str, Any]]) -> tuple[Score
     if not table.recorded:
         return table.columns
     return tuple(column for column in table.columns if any(row[column.key] for row in rows))
-
-
-def _record_cells(row: dict[str, Any], columns: tuple[Score, ...]) -> list[str]:
-    values = [(row[column.key], column.decimals) for column in columns]
-    figures = ["-" if value is None else value.text(decimals) for value, decimals in values]
-    return [row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures]
 
 
 def _say_page(page: Path) -> None:

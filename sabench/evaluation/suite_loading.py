@@ -375,16 +375,11 @@ def _names(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     base = _UNSAFE.sub("_", Path(spec.scene).stem)
     for choice in itertools.product(*(enumerate(values, 1) for values in spec.vary.values())):
         axes = {key: value for key, (_, value) in zip(spec.vary, choice, strict=True)}
-        tags = [
-            _tag(key, value, number) for key, (number, value) in zip(spec.vary, choice, strict=True)
-        ]
-        yield "-".join([spec.name or base, *tags]), axes
-
-
-def _tag(key: str, value: Any, number: int) -> str:
-    """Name a varied value: `per_pixel_0.05`; lists and tables have their numbers."""
-    shown = str(number) if isinstance(value, list | dict) else _UNSAFE.sub("_", str(value))
-    return f"{key.rpartition('.')[2]}_{shown}"
+        name = spec.name or base
+        for key, (number, value) in zip(spec.vary, choice, strict=True):  # lists have numbers
+            shown = number if isinstance(value, list | dict) else _UNSAFE.sub("_", str(value))
+            name += f"-{key.rpartition('.')[2]}_{shown}"
+        yield name, axes
 
 
 def _check_names(names: list[str], file: Path) -> None:

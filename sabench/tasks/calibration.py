@@ -161,8 +161,12 @@ class CalibrationTask(Task):
         """
         points = data.placed().points_mm
         middle = points.reshape(-1, 3).mean(axis=0)
-        cameras = tuple(_shift(camera, n) for n, camera in enumerate(data.true_cameras))
-        return Calibration(cameras, middle + (points - middle) * [1.001, 0.999, 1.003])
+        cameras = []
+        for number, camera in enumerate(data.true_cameras):
+            column, row = camera.principal_point_px
+            point = (column + 0.3 * math.cos(number), row + 0.2 * math.sin(2.0 * number))
+            cameras.append(replace(camera, principal_point_px=point))
+        return Calibration(tuple(cameras), middle + (points - middle) * [1.001, 0.999, 1.003])
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Score a calibration."""
@@ -287,12 +291,6 @@ def _check_pinhole(camera: Camera, source: str) -> None:
         raise InputError(
             f"{source}: {camera.name}: rotation: expected a rotation, got {rotation.tolist()}"
         )
-
-
-def _shift(camera: Camera, number: int) -> Camera:
-    column, row = camera.principal_point_px
-    shift = (0.3 * math.cos(number), 0.2 * math.sin(2.0 * number))
-    return replace(camera, principal_point_px=(column + shift[0], row + shift[1]))
 
 
 def _particles(data: Dataset) -> tuple[F64, F64]:

@@ -253,7 +253,8 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
         for rival in every
         if same_data(rival, record)
         and rival["task"] == record["task"]
-        and _has(rival, key)
+        and isinstance(rival.get(key), int | float)
+        and not (isinstance(rival[key], bool) or rival.get("error"))
         and task.admits(rival)
     ]
     value = record.get(key) if task.admits(record) else None
@@ -268,11 +269,6 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
     best = max(others, key=lambda rival: sign * rival[key], default=None)
     count = len(distinct(rivals))
     return Standing(record, rank, count, (entry_name(best), best[key]) if best else None)
-
-
-def _has(record: Record, key: str) -> bool:
-    number = isinstance(record.get(key), int | float) and not isinstance(record[key], bool)
-    return number and not record.get("error")
 
 
 def entry_name(record: Record) -> str:
