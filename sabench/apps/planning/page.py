@@ -7,13 +7,15 @@ from sabench.apps.planning.plan import Plan
 from sabench.apps.viewer.outlines import OUTLINE_KINDS, STYLE
 from sabench.apps.viewer.surroundings import Surroundings, draw_surroundings
 from sabench.plotting.page import render_page
+from sabench.scenes.build import build_walls
 
 
 def draw_rig(plan: Plan) -> list[tuple[str, str]]:
     """Draw a rig and its volume as pairs of a title and an SVG element."""
     grid, cameras = plan.rig.grid, plan.rig.cameras
     scored = np.array(grid.scored_box_mm)
-    around = Surroundings(cameras, *grid.box_mm, scored, plan.scene.illumination)
+    walls, light = build_walls(plan.scene.wall), plan.scene.illumination
+    around = Surroundings(cameras, *grid.box_mm, scored, light, faces=walls)
     wholes, volumes = draw_surroundings(around), draw_surroundings(around, near=True)
     return [drawing for pair in zip(wholes, volumes, strict=True) for drawing in pair]
 

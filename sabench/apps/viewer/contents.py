@@ -1,7 +1,7 @@
 """Contents of a page: surroundings, frames and names."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from sabench.geometry.common_view import propose_box
 from sabench.geometry.grid import Grid
 from sabench.plotting.kinds import KINDS
 from sabench.scenes import BubbleWorld, Scene, build_rig
+from sabench.scenes.build import build_walls
 from sabench.simulation.frames import light_in_fluid
 from sabench.utils.arrays import F32
 from sabench.utils.progress import progress_bar
@@ -186,10 +187,12 @@ def _surround(
     around = Surroundings(tuple(cameras), low, high, scored, estimated=tuple(estimated))
     if scene is None:
         return around
-    rig = build_rig(scene)
-    light = light_in_fluid(scene).illumination
-    return Surroundings(
-        around.cameras, low, high, scored, light, scene.backlight, rig.occluders, around.estimated
+    return replace(
+        around,
+        light=light_in_fluid(scene).illumination,
+        backlight=scene.backlight,
+        occluders=build_rig(scene).occluders,
+        faces=build_walls(scene.wall),
     )
 
 

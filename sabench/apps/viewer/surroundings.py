@@ -39,6 +39,7 @@ class Surroundings:
     scored_mm : corners (2, 3) of the part that scores see.
     light : in the fluid, behind its window.
     estimated : cameras that a solver has calibrated.
+    faces : all walls of the tank, some of which no camera looks through.
     """
 
     cameras: tuple[CameraModel, ...]
@@ -49,6 +50,7 @@ class Surroundings:
     backlight: Backlight | None = None
     occluders: tuple[Disc, ...] = ()
     estimated: tuple[CameraModel, ...] = ()
+    faces: tuple[WallRecord, ...] = ()
 
     @property
     def center_mm(self) -> F64:
@@ -61,9 +63,9 @@ class Surroundings:
 
     @property
     def walls(self) -> tuple[WallRecord, ...]:
-        """Walls that the cameras look through, each once."""
+        """Walls that the cameras look through, and all that are known, each once."""
         walls = [camera.wall for camera in self.cameras if isinstance(camera, Camera)]
-        return tuple(dict.fromkeys(wall for wall in walls if wall is not None))
+        return tuple(dict.fromkeys(wall for wall in (*walls, *self.faces) if wall is not None))
 
     def describe(self) -> dict[str, Any]:
         """Describe everything as the page's JSON holds it; lengths in mm."""
