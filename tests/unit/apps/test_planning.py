@@ -481,6 +481,13 @@ def test_a_rig_is_drawn_with_all_its_parts(scene: str, cameras: int, walls: int)
     assert shapes(svg, "sheet")
 
 
+def test_a_face_without_a_camera_is_drawn_too() -> None:
+    values = load_scene("two-faces").to_dict()
+    del values["cameras"]["layout"]["places"][2:]
+    rig = of_scene(parse_scene(values, "one face"), "one face").surroundings.describe()
+    assert len(rig["walls"]) == len(values["wall"]) == 2
+
+
 def test_faces_of_a_tank_end_at_their_edge() -> None:
     rig = of_scene(load_scene("two-faces"), "two-faces").surroundings.describe()
     for wall, other in (rig["walls"], rig["walls"][::-1]):
