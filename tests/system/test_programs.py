@@ -467,8 +467,8 @@ def test_anothers_earlier_result_is_recognised(
     result = renamed(quick_result, tmp_path / "r.h5", "mine")
     submit(result, "Ann", [quick.root], board)
     (standing,) = submit(result, "Bob", [quick.root], board)
-    assert standing.record["same_estimates_as"] == "mine of Ann"
-    assert "r.h5: its estimates are those of mine of Ann" in capfd.readouterr().err
+    assert standing.record["same_estimates_as"] == "mine (Ann)"
+    assert "r.h5: its estimates are those of mine (Ann)" in capfd.readouterr().err
 
 
 def test_a_changed_value_changes_the_hash(quick_result: Path, tmp_path: Path) -> None:

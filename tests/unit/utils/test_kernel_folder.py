@@ -15,7 +15,7 @@ from sabench.utils import compiled, kernel_folder
 from sabench.utils.compiled import numba
 from sabench.utils.kernel_folder import hash_sources
 
-UTILS = ("code_hash.py", "compiled.py", "kernel_folder.py", "version.py")
+UTILS = ("code_hash.py", "compiled.py", "installed.py", "kernel_folder.py", "version.py")
 CALLEE = """
 from sabench.utils.compiled import numba
 
