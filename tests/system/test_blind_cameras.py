@@ -75,6 +75,13 @@ def test_score_prints_json(command: Command, boards: Dataset, tmp_path: Path, na
     scores = read_strictly(done.stdout)
     first = boards.setup.cameras[0]
     assert scores["true_px"] == pytest.approx(np.hypot(first.rows, first.columns))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", WAYS)
+def test_view_prints_json(command: Command, boards: Dataset, tmp_path: Path, name: str) -> None:
+    made = sabench.solve(name, boards, tmp_path / "r.h5")
     done = succeed(command("view", boards.root, made.path, "--json"))
     assert read_strictly(done.stdout)["cameras"] == len(boards.setup.cameras)
 
