@@ -83,7 +83,7 @@ class Costs:
         """Name time, memory and disk space."""
         span = "unknown"
         if self.seconds > 0.0:
-            words = "at least" if self.unknown else "about"
+            words = "at least" if self.unknown else "roughly"
             span = f"{words} {timedelta(seconds=math.ceil(self.seconds))}"
         peak = "unknown" if self.memory is None else f"about {_size(self.memory)}"
         more = f" and at most {_size(self.results)} of results" if self.results else ""

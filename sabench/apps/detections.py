@@ -113,7 +113,7 @@ def score_detections(dataset: Dataset | str | Path, detections: str | Path) -> d
     for name, place, own in zip(names, places, progress_bar(by_image, "score"), strict=True):
         image, shapes = data.sight(*place).number, [getattr(one, key) for one in own]
         if key == "bbox":
-            overlap, found_px, true_px = __compare_boxes(shapes, image)
+            overlap, found_px, true_px = _compare_boxes(shapes, image)
         else:
             masks = [mask_pixels(f"{path}: {name}", shape, *image.shape) for shape in shapes]
             overlap, found_px, true_px = _compare_masks(masks, image)
@@ -127,7 +127,7 @@ def score_detections(dataset: Dataset | str | Path, detections: str | Path) -> d
     return {"compared": key} | {name: finite_or_none(value) for name, value in figures.items()}
 
 
-def __compare_boxes(boxes: list[Any], number: I32) -> tuple[F64, F64, F64]:
+def _compare_boxes(boxes: list[Any], number: I32) -> tuple[F64, F64, F64]:
     """Compute overlaps (n, m), and diameters of ellipses in found and true boxes."""
     both = boxes, list(boxes_of(number).values())
     found, true = (np.array(part, np.float64).reshape(-1, 2, 2) for part in both)

@@ -152,5 +152,5 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing o
 Cards = Annotated[list[Path] | None, option("FILE", "Solver card; repeatable.", "--card")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON value.")]
 Leaderboard = Annotated[Path, option("FOLDER", "Folder of the records and the page.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Print time, memory and disk; do nothing.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print rough time, memory and disk; stop.")]
 Jobs = Annotated[int, option("N", "Number of processes that generate data.", min=1)]

@@ -14,7 +14,7 @@ LIMITS: dict[str, float] = {
     "sabench without apps: modules": 316,
     "reproduction: lines": 8194,
     "tests: lines": 38000,
-    "apps: lines": 5800,
+    "apps: lines": 5820,
     "constants of sabench": 750,
     "constants of algorithms/particles": 110,
     "constants of images": 67,

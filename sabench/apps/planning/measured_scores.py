@@ -5,11 +5,11 @@ sight are smaller, as far as the figures that scores depend on stay the same.
 """
 
 import contextlib
+import math
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from statistics import fmean, stdev
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from sabench.scenes import Scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
+from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.progress import say
 
 _LEAST_PX = 100  # rows or columns: fewer show too few particles
@@ -47,25 +47,31 @@ def measure_scores(planned: Plan, draws: int = 3) -> Plan:
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(draws):
             data = generate(twin, Path(folder) / f"{seed}", seed=seed)
-            scores = {
-                name: score(data, solve(name, data, Path(folder) / f"{name}-{seed}.h5").path)
-                for name in dict.fromkeys(one.solver for one in SCORES.values())
-            }
+            scores: dict[str, Mapping[str, Any]] = {}
+            for name in dict.fromkeys(one.solver for one in SCORES.values()):
+                with contextlib.suppress(DeclinedError):  # such as too few cameras
+                    scores[name] = score(
+                        data, solve(name, data, Path(folder) / f"{name}-{seed}.h5")
+                    )
             for key, one in SCORES.items():
-                found[key].append(_value(one, scores[one.solver]))
-    quantities = tuple(
-        Quantity(key, fmean(got), f"{SCORES[key].meaning}, +- {stdev(got):.2g} between them", size)
-        for key, got in found.items()
-    )
+                found[key].append(_value(one, scores.get(one.solver, {})))
+    quantities = tuple(_together(key, got, size) for key, got in found.items())
     kept = tuple(one for one in planned.sections if one.title != "expected scores")
     return replace(planned, sections=(*kept, Section("measured scores", quantities)))
 
 
 def _value(expected: ExpectedScore, scores: Mapping[str, Any]) -> float:
-    if expected.score == "ghosts":
-        return float(scores["peak_ghost_percent"] or 0.0) / 100.0
-    peaks = expected.score == "f1" and "peak_f1" in scores
-    return float(scores["peak_f1" if peaks else expected.score] or 0.0)
+    peaks = {"ghosts": "peak_ghost_percent"} | ({"f1": "peak_f1"} if "peak_f1" in scores else {})
+    value = scores.get(peaks.get(expected.score, expected.score))
+    unit = 0.01 if expected.score == "ghosts" else 1.0
+    return math.nan if value is None else unit * value
+
+
+def _together(key: str, got: list[float], size: str) -> Quantity:
+    value, scatter = float(np.mean(got)), float(np.std(got, ddof=1))
+    words = "no score" if math.isnan(value) else f"+- {scatter:.2g} between them"
+    meaning = f"{SCORES[key].meaning}, {words}"
+    return Quantity(key, None if math.isnan(value) else value, meaning, size)
 
 
 def _reduce(planned: Plan, wanted: F64) -> Scene:

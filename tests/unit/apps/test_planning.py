@@ -411,6 +411,14 @@ def test_a_scene_without_lit_particles_is_not_measured() -> None:
 
 
 @pytest.mark.slow
+def test_a_solver_that_declines_two_cameras_measures_nothing() -> None:
+    pair = changed(cameras__layout={"kind": "line", "count": 2, "spacing_mm": 240.0})
+    measured = {one.key: one for one in measure_scores(plan(pair)).sections[-1].quantities}
+    assert measured["f1_bayesian"].value is None
+    assert measured["q_mart"].value is not None
+
+
+@pytest.mark.slow
 def test_a_reduced_twin_scores_as_the_whole_scene() -> None:
     whole = plan("quick")
     measured = {one.key: one for one in measure_scores(whole).sections[-1].quantities}
